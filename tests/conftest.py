@@ -1,0 +1,45 @@
+"""Every test runs with shapes and types checked, strict promotion, and warnings as errors."""
+
+import os
+from pathlib import Path
+
+from jaxtyping import install_import_hook
+
+install_import_hook("sfgs_jax", "beartype.beartype")
+
+import jax  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+@pytest.fixture
+def key() -> jax.Array:
+    """A fixed random key."""
+    return jax.random.key(0)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A fixed NumPy generator."""
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def float64():
+    """Run a test in float64."""
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="session")
+def sfgs_data() -> Path:
+    """The folder with the real recordings and weights; without it a test is skipped, in CI it fails."""
+    root = Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared"))
+    if not (root / "data").is_dir():
+        message = f"no real recordings at {root}; set SFGS_DATA to the folder that holds data/ and weights/"
+        if os.environ.get("CI", "").lower() == "true":
+            pytest.fail(message)
+        pytest.skip(message)
+    return root
