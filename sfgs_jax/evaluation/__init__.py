@@ -1,1 +1,9 @@
-"""Room of evaluation."""
+"""How good a run is: trajectory and image metrics with named protocols, and the report page."""
+
+from sfgs_jax.evaluation.alignment import Alignment as Alignment
+from sfgs_jax.evaluation.alignment import align_points as align_points
+from sfgs_jax.evaluation.association import associate as associate
+from sfgs_jax.evaluation.trajectory_metrics import Ate as Ate
+from sfgs_jax.evaluation.trajectory_metrics import Rpe as Rpe
+from sfgs_jax.evaluation.trajectory_metrics import ate as ate
+from sfgs_jax.evaluation.trajectory_metrics import rpe as rpe
