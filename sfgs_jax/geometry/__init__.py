@@ -2,6 +2,8 @@
 
 from sfgs_jax.geometry import se3 as se3
 from sfgs_jax.geometry.camera import Camera as Camera
+from sfgs_jax.geometry.downscale import downscale_depth as downscale_depth
+from sfgs_jax.geometry.downscale import downscale_rgb as downscale_rgb
 from sfgs_jax.geometry.errors import FrameError as FrameError
 from sfgs_jax.geometry.errors import InputError as InputError
 from sfgs_jax.geometry.files import write_atomically as write_atomically

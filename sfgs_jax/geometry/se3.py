@@ -98,3 +98,9 @@ def to_matrices(poses: jaxlie.SE3) -> Float[np.ndarray, "n 4 4"]:
     matrices[:, :3, :3] = rotations_from_quaternions(parameters[:, :4])
     matrices[:, :3, 3] = parameters[:, 4:]
     return matrices
+
+
+@_promoting
+def quaternions(rotations: Float[Array, "n 3 3"]) -> Float[Array, "n 4"]:
+    """Unit quaternions wxyz of rotation matrices."""
+    return jax.vmap(lambda rotation: jaxlie.SO3.from_matrix(rotation).wxyz)(rotations)

@@ -1,0 +1,36 @@
+"""The log: warnings on the console, everything in the run's `run.log`."""
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+logger = logging.getLogger("sfgs_jax")
+
+
+class _QuietFile(logging.FileHandler):
+    """A log file whose failure (a full disk) never ends the run or floods the console."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Lose the record."""
+
+
+@contextmanager
+def logging_to(path: Path) -> Iterator[None]:
+    """Log to `path`, and warnings to the console as well."""
+    file = _QuietFile(path)
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    console = logging.StreamHandler(sys.stderr)
+    console.setLevel(logging.WARNING)
+    console.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    handlers = (file, console)
+    logger.setLevel(logging.INFO)
+    for handler in handlers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for handler in handlers:
+            logger.removeHandler(handler)
+            handler.close()

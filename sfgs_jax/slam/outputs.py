@@ -1,0 +1,118 @@
+"""The folder a run writes: trajectory, keyframes, map, metrics, configuration."""
+
+import json
+import platform
+import resource
+import sys
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from sfgs_jax.geometry import InputError, format_tum, write_atomically
+from sfgs_jax.slam.driver import Run
+from sfgs_jax.splatting import save_ply
+
+OUTPUT_FILES = (
+    "trajectory.txt",
+    "keyframes.txt",
+    "map.ply",
+    "metrics.json",
+    "config.json",
+    "report.html",
+    "run.log",
+)
+"""Everything a run writes, and all that --overwrite replaces."""
+
+
+def prepare_folder(folder: Path, *, overwrite: bool) -> None:
+    """Make the output folder and make sure, before any work is done, that it can be written.
+
+    Args:
+        folder: where the run will write.
+        overwrite: whether an earlier run's files there may be replaced; other files are left alone.
+
+    Raises:
+        InputError: it is not empty, not a folder, or can't be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        present = sorted(path.name for path in folder.iterdir())
+        if present and not overwrite:
+            raise InputError(
+                f"The output folder {folder} is not empty (it holds {present[0]}): choose another with --out, "
+                "or pass --overwrite to replace an earlier run."
+            )
+        for name in OUTPUT_FILES:
+            (folder / name).unlink(missing_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(b"\0")
+    except OSError as error:
+        raise InputError(
+            f"The output folder {folder} cannot be written ({error.strerror}): choose another with --out."
+        ) from error
+
+
+def write_run(run: Run, folder: Path) -> None:
+    """Write `trajectory.txt`, `keyframes.txt`, `map.ply` and `metrics.json`, the smallest and dearest first.
+
+    Raises:
+        OSError: a file can't be written, for instance because the disk is full; those before it are whole.
+    """
+    write_trajectories(run, folder)
+    write_atomically(folder / "metrics.json", json.dumps(run_metrics(run), indent=2) + "\n")
+    save_ply(folder / "map.ply", run.gaussians)
+
+
+def write_trajectories(run: Run, folder: Path) -> None:
+    """Write `trajectory.txt` and `keyframes.txt`; cheap enough to be done again and again during a run."""
+    write_atomically(folder / "trajectory.txt", format_tum(run.trajectory))
+    write_atomically(folder / "keyframes.txt", format_tum(run.keyframe_trajectory))
+
+
+def run_metrics(run: Run) -> dict[str, object]:
+    """What a run knows of itself; the evaluation adds what needs ground truth or the images."""
+    stages = run.stopwatch.summary()
+    gaussians = run.gaussians
+    used = int(np.sum(jax.device_get(gaussians.valid)))
+    slots = gaussians.valid.shape[0]
+    size = sum(leaf.nbytes for leaf in jax.tree.leaves(gaussians)) // slots * used
+    tracking = run.stopwatch.total("tracking")
+    tracked = len(run.timestamps)
+    return {
+        "frames": {
+            "total": run.num_frames,
+            "tracked": tracked,
+            "skipped": run.num_skipped,
+            "lost": run.num_lost,
+            "keyframes": len(run.keyframes),
+            "interrupted": run.interrupted,
+        },
+        "fps": {
+            "tracking": round(1e3 / stages["tracking"]["median_ms"], 2) if tracking else 0.0,
+            "overall": round(run.num_frames / run.stopwatch.elapsed, 2),
+        },
+        "stages": stages,
+        "map": {"gaussians": used, "bytes": size, "dropped": run.dropped_seeds},
+        "memory": {"peak_mb": round(peak_memory_mb(), 1)},
+        "loops": {"accepted": 0},
+        "versions": versions(),
+    }
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far, MiB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    packages = ("sfgs-jax", "jax", "jaxlib", "numpy", "opencv-python-headless")
+    return {name: version(name) for name in packages} | {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "device": jax.devices()[0].device_kind,
+    }

@@ -1,0 +1,66 @@
+"""The conventions: axes, pixel centres, scaling."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax import Camera
+
+
+@pytest.fixture
+def camera() -> Camera:
+    return Camera(50.0, 60.0, 15.5, 11.0, width=32, height=24)
+
+
+def test_axes_are_x_right_y_down_z_forward(camera):
+    pixels = camera.project(jnp.asarray([[0.1, 0.0, 1.0], [0.0, 0.1, 1.0], [0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(pixels, [[20.5, 11.0], [15.5, 17.0], [15.5, 11.0]], rtol=1e-6)
+
+
+def test_pixel_centres_are_integers(camera):
+    pixels = camera.pixels()
+    assert pixels.shape == (24, 32, 2)
+    np.testing.assert_array_equal(pixels[7, 3], [3.0, 7.0])
+
+
+def test_unproject_inverts_project(camera, rng):
+    depth = jnp.asarray(rng.uniform(0.5, 5, camera.shape), jnp.float32)
+    pixels = camera.pixels()
+    np.testing.assert_allclose(camera.project(camera.unproject(pixels, depth)), pixels, atol=1e-4)
+
+
+def test_points_behind_the_camera_give_finite_values_and_gradients(camera):
+    points = jnp.asarray([[0.1, 0.2, 0.0], [0.1, 0.2, -1.0]])
+    value, gradient = jax.value_and_grad(lambda p: jnp.sum(camera.project(p)))(points)
+    assert jnp.isfinite(value)
+    assert jnp.all(jnp.isfinite(gradient))
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_downscaled_camera_sees_block_centres(camera, factor):
+    small = camera.downscaled(factor)
+    assert small.shape == (24 // factor, 32 // factor)
+    ray = camera.unproject(jnp.asarray([(factor - 1) / 2, (factor - 1) / 2]), jnp.asarray(1.0))
+    np.testing.assert_allclose(small.project(ray), [0.0, 0.0], atol=1e-5)
+
+
+def test_subsampled_camera_keeps_the_first_pixel(camera):
+    small = camera.subsampled(5)
+    assert small.shape == (5, 7)
+    ray = camera.unproject(jnp.asarray([10.0, 5.0]), jnp.asarray(1.0))
+    np.testing.assert_allclose(small.project(ray), [2.0, 1.0], atol=1e-5)
+
+
+def test_intrinsics_are_strong_float32_so_that_nothing_compiles_twice(camera):
+    other = Camera(np.float64(50), 60, jnp.asarray(15.5), 11.0, width=32, height=24)
+    for a, b in zip(jax.tree.leaves(camera), jax.tree.leaves(other), strict=True):
+        assert (a.dtype, a.weak_type) == (b.dtype, b.weak_type) == (jnp.float32, False)
+
+
+def test_intrinsics_are_differentiable(camera):
+    point = jnp.asarray([0.1, 0.2, 2.0])
+    gradient = jax.grad(lambda c: c.project(point)[0])(camera)
+    np.testing.assert_allclose(gradient.fx, 0.05, rtol=1e-6)
+    np.testing.assert_allclose(gradient.cx, 1.0)
+    assert gradient.fy == 0

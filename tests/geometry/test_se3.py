@@ -1,0 +1,79 @@
+"""The pose conventions: T_target_source, translation first, perturbed on the right."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax.geometry import quaternions_from_rotations, rotations_from_quaternions, se3
+
+
+def random_pose(key):
+    return se3.exp(jax.random.normal(key, (6,)))
+
+
+def test_tangent_is_translation_first():
+    T = se3.exp(jnp.asarray([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(se3.matrix(T)[:3, 3], [1, 2, 3])
+    turned = se3.exp(jnp.asarray([0.0, 0.0, 0.0, 0.0, 0.0, jnp.pi / 2]))
+    np.testing.assert_allclose(se3.transform(turned, jnp.asarray([1.0, 0.0, 0.0])), [0, 1, 0], atol=1e-6)
+
+
+def test_quaternions_are_wxyz():
+    np.testing.assert_allclose(se3.identity().wxyz_xyz, [1, 0, 0, 0, 0, 0, 0])
+
+
+def test_compose_is_the_matrix_product(key):
+    a, b = (random_pose(k) for k in jax.random.split(key))
+    np.testing.assert_allclose(se3.matrix(se3.compose(a, b)), se3.matrix(a) @ se3.matrix(b), atol=1e-5)
+    np.testing.assert_allclose(se3.log(se3.compose(a, se3.inverse(a))), np.zeros(6), atol=1e-5)
+
+
+def test_transform_takes_source_points_to_the_target_frame(key):
+    T = random_pose(key)
+    points = jax.random.normal(key, (4, 5, 3))
+    expected = points @ se3.matrix(T)[:3, :3].T + se3.matrix(T)[:3, 3]
+    np.testing.assert_allclose(se3.transform(T, points), expected, atol=1e-5)
+
+
+def test_adjoint_moves_a_perturbation_from_right_to_left(key):
+    T = random_pose(key)
+    delta = 0.1 * jax.random.normal(key, (6,))
+    right = se3.compose(T, se3.exp(delta))
+    left = se3.compose(se3.exp(se3.adjoint(T) @ delta), T)
+    np.testing.assert_allclose(se3.matrix(right), se3.matrix(left), atol=1e-5)
+
+
+def test_many_compositions_keep_the_quaternion_unit_long(key):
+    small = se3.exp(0.1 * jax.random.normal(key, (6,)))
+    T = jax.lax.fori_loop(0, 2000, lambda _, T: se3.compose(T, small), se3.identity())
+    np.testing.assert_allclose(jnp.linalg.norm(T.wxyz_xyz[:4]), 1.0, atol=1e-6)
+
+
+def test_perturbation_at_zero_has_the_generators_as_derivative():
+    point = jnp.asarray([1.0, 2.0, 3.0])
+    jacobian = jax.jacobian(lambda d: se3.transform(se3.exp(d), point))(jnp.zeros(6))
+    np.testing.assert_allclose(jacobian[:, :3], np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(jacobian[:, 3:], [[0, 3, -2], [-3, 0, 1], [2, -1, 0]], atol=1e-6)
+
+
+def test_matrices_on_host_and_device_agree(key):
+    poses = jax.vmap(random_pose)(jax.random.split(key, 20))
+    matrices = se3.to_matrices(poses)
+    assert matrices.dtype == np.float64
+    np.testing.assert_allclose(matrices, jax.vmap(se3.matrix)(poses), atol=1e-5)
+    for matrix in matrices[:3]:
+        np.testing.assert_allclose(se3.matrix(se3.from_matrix(matrix)), matrix, atol=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1.0, np.pi - 1e-9, np.pi, 4.0])
+@pytest.mark.parametrize("axis", [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0.6, 0.0, -0.8], [1 / 3**0.5] * 3])
+def test_host_quaternions_are_exact_at_every_angle(angle, axis):
+    quaternion = np.asarray([[np.cos(angle / 2), *(np.sin(angle / 2) * np.asarray(axis))]])
+    rotation = rotations_from_quaternions(quaternion)
+    np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
+    back = quaternions_from_rotations(rotation)
+    np.testing.assert_allclose(rotations_from_quaternions(back), rotation, atol=1e-14)
+    assert back[0, 0] >= 0
+    on_device = se3.quaternions(jnp.asarray(rotation, jnp.float32))
+    np.testing.assert_allclose(np.abs(np.sum(np.asarray(on_device) * back)), 1.0, atol=1e-6)
