@@ -3,6 +3,10 @@
 from sfgs_jax.evaluation.alignment import Alignment as Alignment
 from sfgs_jax.evaluation.alignment import align_points as align_points
 from sfgs_jax.evaluation.association import associate as associate
+from sfgs_jax.evaluation.perceptual import LpipsWeights as LpipsWeights
+from sfgs_jax.evaluation.perceptual import default_lpips_path as default_lpips_path
+from sfgs_jax.evaluation.perceptual import load_lpips as load_lpips
+from sfgs_jax.evaluation.perceptual import lpips as lpips
 from sfgs_jax.evaluation.trajectory_metrics import Ate as Ate
 from sfgs_jax.evaluation.trajectory_metrics import Rpe as Rpe
 from sfgs_jax.evaluation.trajectory_metrics import ate as ate

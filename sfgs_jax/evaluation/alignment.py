@@ -36,8 +36,8 @@ def align_points(
 ) -> Alignment:
     """Least-squares motion from `source` to `target`, n >= 1 corresponding points.
 
-    Where the points leave a rotation open (all on one line, or all at one place), one of the motions with the
-    smallest error is returned: the error is the same for all of them. The scale of points that don't move is 1.
+    Where the points leave a rotation open (all on one line, or all at one place), one of the motions with
+    the smallest error is returned: the error is the same for all. The scale of points that don't move is 1.
 
     Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, 1991.
     """

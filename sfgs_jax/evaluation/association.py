@@ -18,7 +18,7 @@ def associate(
         max_difference_s: pairs further apart than this are not made; exactly as far is allowed.
 
     Returns:
-        Indices into `timestamps_a` and into `timestamps_b`, (k,) each, in the order of `timestamps_a`'s times.
+        Indices into `timestamps_a` and into `timestamps_b`, (k,) each, in the order of time.
     """
     order_a, order_b = np.argsort(timestamps_a, kind="stable"), np.argsort(timestamps_b, kind="stable")
     times_a, times_b = timestamps_a[order_a], timestamps_b[order_b]

@@ -66,8 +66,8 @@ def _paired(
     i, j = associate(estimate.timestamps, reference.timestamps, max_difference_s=max_difference_s)
     if len(i) < at_least:
         raise InputError(
-            f"Only {len(i)} of {len(estimate)} estimated poses have a reference pose within {max_difference_s} s, "
-            f"and {at_least} are needed: check that both use the same clock, or raise the limit."
+            f"Only {len(i)} of {len(estimate)} estimated poses have a reference pose within "
+            f"{max_difference_s} s, and {at_least} are needed: check that both use the same clock."
         )
     return estimate[i], reference[j]
 
