@@ -1,0 +1,77 @@
+"""Replica rooms as rendered for NICE-SLAM: results/frame*.jpg, results/depth*.png, traj.txt.
+
+Source: Zhu et al., NICE-SLAM, CVPR 2022; the rendered trajectories are iMAP's (Sucar et al., ICCV 2021).
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from sfgs_jax.datasets.file_recording import FilePair, FileRecording, registered_size
+from sfgs_jax.datasets.files import by_number
+from sfgs_jax.datasets.ground_truth import ground_truth_of
+from sfgs_jax.datasets.images import COLOUR_SUFFIXES
+from sfgs_jax.datasets.intrinsics import Intrinsics, read_camera_json
+from sfgs_jax.datasets.options import ReaderOptions
+from sfgs_jax.datasets.pose_files import read_matrix_rows, read_text
+from sfgs_jax.geometry import InputError
+
+_FRAMES_PER_SECOND = 30.0
+_UNITS_PER_METRE = 6553.5
+_DEFAULT = Intrinsics(600.0, 600.0, 599.5, 339.5, width=1200, height=680)
+
+
+def matches(source: Path) -> bool:
+    """Whether the folder has the layout of NICE-SLAM's Replica."""
+    return bool(by_number(source / "results", "frame", COLOUR_SUFFIXES))
+
+
+def read(source: Path, options: ReaderOptions) -> FileRecording:
+    """Open a Replica room. Raises InputError as `open_recording` says."""
+    intrinsics = _intrinsics(source, options)
+    scale = options.depth_scale or intrinsics.depth_scale or _UNITS_PER_METRE
+    colour = by_number(source / "results", "frame", COLOUR_SUFFIXES)
+    depth = by_number(source / "results", "depth", (".png",))
+    numbers = sorted(colour.keys() & depth.keys())
+    pairs = [FilePair(colour[n], depth[n], n / _FRAMES_PER_SECOND) for n in numbers]
+    width, height, depth_notes = registered_size(source, pairs, scale)
+    rows = read_matrix_rows(source / "traj.txt") if (source / "traj.txt").is_file() else np.zeros((0, 4, 4))
+    # Lines are numbered as the images are, also where some images were taken away.
+    poses = [rows[n] if n < len(rows) else None for n in numbers]
+    ground_truth, truth_notes = ground_truth_of(poses, np.asarray(numbers) / _FRAMES_PER_SECOND)
+    return FileRecording(
+        name=source.resolve().name,
+        dataset="replica",
+        camera=intrinsics.camera(width, height, source),
+        pairs=pairs,
+        units_per_metre=scale,
+        ground_truth=ground_truth,
+        notes=(*intrinsics.notes, *depth_notes, *truth_notes),
+    )
+
+
+def _intrinsics(source: Path, options: ReaderOptions) -> Intrinsics:
+    if options.camera is not None:
+        return read_camera_json(options.camera)
+    for folder in (source, source.resolve().parent):
+        if (folder / "cam_params.json").is_file():
+            return _read_cam_params(folder / "cam_params.json")
+    return _DEFAULT
+
+
+def _read_cam_params(path: Path) -> Intrinsics:
+    """NICE-SLAM's own camera file: {"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}}."""
+    try:
+        camera = json.loads(read_text(path))["camera"]
+        return Intrinsics(
+            *(float(camera[key]) for key in ("fx", "fy", "cx", "cy")),
+            depth_scale=float(camera["scale"]),
+            width=int(camera["w"]),
+            height=int(camera["h"]),
+        )
+    except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path} does not hold the camera's w, h, fx, fy, cx, cy and scale ({error!r}); "
+            "correct it, or give a camera.json."
+        ) from error

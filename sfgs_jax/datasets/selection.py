@@ -1,0 +1,90 @@
+"""The part of a recording that a user asked for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sfgs_jax.datasets.options import ReaderOptions
+from sfgs_jax.datasets.recording import Recording
+from sfgs_jax.geometry import Camera, Frame, FrameError, InputError, Trajectory
+
+
+def select(recording: Recording, options: ReaderOptions) -> "Selection":
+    """Frames `start:end:stride` of a recording, with depth cut at `max_depth`.
+
+    Raises:
+        InputError: the stride or depth limit isn't positive, or no frame is left.
+    """
+    if options.stride < 1:
+        raise InputError(f"The stride must be at least 1, not {options.stride}.")
+    if options.max_depth is not None and not options.max_depth > 0:
+        raise InputError(f"The largest depth must be positive, not {options.max_depth:g} m.")
+    frames = range(len(recording))[options.start : options.end : options.stride]
+    if not frames:
+        raise InputError(
+            f"No frames of {recording.name} from {options.start} to {options.end or 'its end'}; "
+            f"it has {len(recording)}."
+        )
+    return Selection(recording, frames, options.max_depth)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A `Recording` of some frames of another one.
+
+    Attributes:
+        recording: the whole recording.
+        frames: which of its frames.
+        max_depth: metres, beyond which depth counts as missing; None keeps everything.
+    """
+
+    recording: Recording
+    frames: range
+    max_depth: float | None
+
+    @property
+    def name(self) -> str:
+        """Name of the whole recording."""
+        return self.recording.name
+
+    @property
+    def dataset(self) -> str:
+        """Layout of the whole recording."""
+        return self.recording.dataset
+
+    @property
+    def camera(self) -> Camera:
+        """Camera of colour and depth."""
+        return self.recording.camera
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Warnings for the log."""
+        return self.recording.notes
+
+    @property
+    def timestamps(self) -> np.ndarray:
+        """(N,) seconds, float64, of the selected frames."""
+        return self.recording.timestamps[self.frames]
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """Known poses of the selected frames."""
+        truth = self.recording.ground_truth
+        if truth is None:
+            return None
+        selected = np.isin(truth.timestamps, self.timestamps)
+        return truth[selected] if selected.any() else None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = self.recording[self.frames[index]]
+        depth = np.asarray(frame.depth)
+        if self.max_depth is not None:
+            depth = np.where(depth <= self.max_depth, depth, np.float32(0))
+        if not depth.any():
+            limit = "" if self.max_depth is None else f" within {self.max_depth:g} m"
+            raise FrameError(f"Frame {self.frames[index]} of {self.name} has no valid depth{limit}.")
+        return Frame(frame.rgb, depth, frame.timestamp)

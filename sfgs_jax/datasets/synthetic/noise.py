@@ -1,0 +1,58 @@
+"""What a real sensor adds to ideal images."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from sfgs_jax.datasets.synthetic.render import View
+from sfgs_jax.geometry import Camera
+
+_BASELINE = 0.075
+"""Metres between the projector and the infrared camera."""
+_DISPARITY_STEP = 0.125
+"""Pixels at a focal length of 580, which is that of 640 columns."""
+_GRAZING = 0.15
+"""Cosine between normal and ray below which the pattern is no longer seen."""
+_EDGE = 0.04
+"""Relative jump between neighbours from which depth is unreliable there."""
+_IMAGE_NOISE = 0.008
+"""Standard deviation of colour, of 1."""
+
+
+@jax.jit
+def add_noise(
+    key: PRNGKeyArray, view: View, camera: Camera
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"]]:
+    """Colour and depth as a structured-light camera (Kinect) would give them.
+
+    Depth has axial noise (Nguyen, Izadi and Lovell, Modeling Kinect Sensor Noise for Improved 3D
+    Reconstruction and Tracking, 2012: sigma = 0.0012 + 0.0019 (z - 0.4)² metres), the steps of a quantised disparity, and
+    holes at grazing angles and at depth edges. Colour has Gaussian noise.
+
+    Args:
+        key: random key of the frame.
+        view: the ideal images.
+        camera: their camera.
+    """
+    colour_key, depth_key, hole_key = jax.random.split(key, 3)
+    z = view.depth
+    sigma = 0.0012 + 0.0019 * (z - 0.4) ** 2
+    noisy = z + sigma * jax.random.normal(depth_key, z.shape)
+    # Disparity of a sensor of 640 columns, whatever the size of the image.
+    focal = camera.fx * (640 / camera.width)
+    disparity = focal * _BASELINE / jnp.maximum(noisy, 0.1)
+    disparity = jnp.maximum(jnp.round(disparity / _DISPARITY_STEP), 1) * _DISPARITY_STEP
+    noisy = focal * _BASELINE / disparity
+    lost = jax.random.uniform(hole_key, z.shape)
+    hole = (z <= 0) | (view.facing < _GRAZING) | (_near_edge(z) & (lost < 0.5)) | (lost < 0.002)
+    rgb = view.rgb + _IMAGE_NOISE * jax.random.normal(colour_key, view.rgb.shape)
+    return jnp.clip(rgb, 0, 1), jnp.where(hole, 0, noisy)
+
+
+def _near_edge(depth: Float[Array, "h w"]) -> Array:
+    """Pixels whose 3x3 neighbourhood has a jump in depth."""
+    padded = jnp.pad(depth, 1, mode="edge")
+    height, width = depth.shape
+    shifted = [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+    lowest, highest = jnp.stack(shifted).min(axis=0), jnp.stack(shifted).max(axis=0)
+    return highest - lowest > _EDGE * highest

@@ -1,0 +1,137 @@
+"""Solid textures: colour as a smooth function of position, so that every surface has detail without images.
+
+A texture is a sum of plane waves in four octaves, which a soft threshold turns into blobs between two colours,
+and an optional grid of cells (tiles, boards, book spines), each with a tint of its own. Plane waves are
+band-limited, so detail below the pixel scale can be faded out exactly instead of turning into noise.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt32
+
+WAVELENGTHS = (0.9, 0.36, 0.15, 0.065)
+"""Metres, of the four octaves."""
+_WAVES_PER_OCTAVE = 6
+
+
+class Materials(eqx.Module):
+    """Parameters of M textures.
+
+    Attributes:
+        colours: (M, 2, 3) the two colours between which the waves go, RGB in [0, 1].
+        octaves: (M, 4) weight of each octave.
+        contrast: (M,) how hard the threshold between the two colours is.
+        cells: (M, 3) cells per metre along each world axis; 0 for none.
+        gap: (M,) half the width of the line between cells, metres.
+        tint: (M,) how far a cell's colour goes to its own tint, 0 to 1.
+    """
+
+    colours: Float[Array, "m 2 3"]
+    octaves: Float[Array, "m 4"]
+    contrast: Float[Array, " m"]
+    cells: Float[Array, "m 3"]
+    gap: Float[Array, " m"]
+    tint: Float[Array, " m"]
+
+
+class Waves(eqx.Module):
+    """Plane waves in random directions, shared by all textures.
+
+    Attributes:
+        vectors: (W, 3) wave vectors, radians a metre; the same number for each octave, in its order.
+        phases: (W,) radians.
+    """
+
+    vectors: Float[Array, "w 3"]
+    phases: Float[Array, " w"]
+
+
+def random_waves(rng: np.random.Generator) -> Waves:
+    """Waves whose lengths spread around those of the octaves."""
+    count = len(WAVELENGTHS) * _WAVES_PER_OCTAVE
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    lengths = np.repeat(WAVELENGTHS, _WAVES_PER_OCTAVE) * rng.uniform(0.75, 1.3, count)
+    return Waves(
+        jnp.asarray(directions * (2 * np.pi / lengths)[:, None], jnp.float32),
+        jnp.asarray(rng.uniform(0, 2 * np.pi, count), jnp.float32),
+    )
+
+
+def surface_colours(
+    materials: Materials,
+    waves: Waves,
+    material: Int[Array, " n"],
+    points: Float[Array, "n 3"],
+    footprint: Float[Array, " n"],
+) -> Float[Array, "n 3"]:
+    """Colour of surface points before lighting.
+
+    Args:
+        materials: the textures.
+        waves: their plane waves.
+        material: which texture each point has.
+        points: world coordinates, metres.
+        footprint: width of a pixel on the surface, metres; finer detail fades out.
+    """
+    noise = _octaves(waves, points, footprint)
+    height = jnp.sum(noise * materials.octaves[material], axis=1)
+    blend = 0.5 + 0.5 * jnp.tanh(materials.contrast[material] * height)
+    colours = materials.colours[material]
+    colour = colours[:, 0] + blend[:, None] * (colours[:, 1] - colours[:, 0])
+    return _with_cells(materials, material, points, footprint, colour)
+
+
+def _octaves(waves: Waves, points: Float[Array, "n 3"], footprint: Float[Array, " n"]) -> Float[Array, "n 4"]:
+    """Sum of the waves of each octave, of unit variance where a pixel is much smaller than the wave."""
+    frequency = jnp.linalg.norm(waves.vectors, axis=1)
+    # A Gaussian filter of a standard deviation of half a pixel multiplies a wave by this.
+    fade = jnp.exp(-0.125 * (frequency * footprint[:, None]) ** 2)
+    values = fade * jnp.cos(points @ waves.vectors.T + waves.phases)
+    octaves = values.reshape(len(points), len(WAVELENGTHS), -1).sum(axis=2)
+    return octaves * (2 / _WAVES_PER_OCTAVE) ** 0.5
+
+
+def _with_cells(
+    materials: Materials,
+    material: Int[Array, " n"],
+    points: Float[Array, "n 3"],
+    footprint: Float[Array, " n"],
+    colour: Float[Array, "n 3"],
+) -> Float[Array, "n 3"]:
+    """The colour with each cell's tint, and with dark lines between cells that hide where tints change."""
+    density = materials.cells[material]
+    has_cells = density > 0
+    position = points * density
+    cell = jnp.floor(position)
+    inside = position - cell
+    to_border = jnp.minimum(inside, 1 - inside) / jnp.where(has_cells, density, 1)
+    distance = jnp.min(jnp.where(has_cells, to_border, jnp.inf), axis=1)
+    tint = _cell_tints(jnp.where(has_cells, cell, 0).astype(jnp.int32))
+    amount = materials.tint[material][:, None]
+    tinted = colour * (1 - amount) + amount * tint * (0.6 + 0.4 * colour)
+    half_width = materials.gap[material]
+    softness = jnp.maximum(footprint, 0.25 * half_width)
+    t = jnp.clip((distance - half_width + softness) / (2 * softness), 0, 1)
+    t = t * t * (3 - 2 * t)
+    line = jnp.any(has_cells, axis=1)[:, None] & (half_width > 0)[:, None]
+    return jnp.where(line, tinted * (0.35 + 0.65 * t[:, None]), tinted)
+
+
+def _cell_tints(cell: Int[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """A colour for each cell, from a hash of its integer coordinates."""
+    bits = jax.lax.bitcast_convert_type(cell, jnp.uint32)
+    mixed = (
+        bits[:, 0] * np.uint32(73856093) ^ bits[:, 1] * np.uint32(19349663) ^ bits[:, 2] * np.uint32(83492791)
+    )
+    channels = [_mix(mixed + np.uint32(salt)) for salt in (1, 2, 3)]
+    return 0.15 + 0.75 * jnp.stack([(c >> 8).astype(jnp.float32) / 2**24 for c in channels], axis=1)
+
+
+def _mix(x: UInt32[Array, " n"]) -> UInt32[Array, " n"]:
+    """Scramble bits: the finaliser of MurmurHash3."""
+    x = (x ^ (x >> 16)) * np.uint32(0x85EBCA6B)
+    x = (x ^ (x >> 13)) * np.uint32(0xC2B2AE35)
+    return x ^ (x >> 16)
