@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.datasets.association import associate
 from sfgs_jax.evaluation.alignment import Alignment, align_points
-from sfgs_jax.evaluation.association import associate
 from sfgs_jax.geometry import InputError, Trajectory
 
 
@@ -63,13 +63,15 @@ class Rpe:
 def _paired(
     estimate: Trajectory, reference: Trajectory, max_difference_s: float, at_least: int
 ) -> tuple[Trajectory, Trajectory]:
-    i, j = associate(estimate.timestamps, reference.timestamps, max_difference_s=max_difference_s)
-    if len(i) < at_least:
+    """Poses that belong together, in order of time."""
+    estimate, reference = (x[np.argsort(x.timestamps, kind="stable")] for x in (estimate, reference))
+    pairs = associate(estimate.timestamps, reference.timestamps, max_difference_s)
+    if len(pairs) < at_least:
         raise InputError(
-            f"Only {len(i)} of {len(estimate)} estimated poses have a reference pose within "
+            f"Only {len(pairs)} of {len(estimate)} estimated poses have a reference pose within "
             f"{max_difference_s} s, and {at_least} are needed: check that both use the same clock."
         )
-    return estimate[i], reference[j]
+    return estimate[pairs[:, 0]], reference[pairs[:, 1]]
 
 
 def ate(

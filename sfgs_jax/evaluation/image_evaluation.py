@@ -1,0 +1,125 @@
+"""Image metrics of a map over a whole recording, one frame in memory at a time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from sfgs_jax.datasets import Recording, prefetch
+from sfgs_jax.evaluation.image_metrics import (
+    PROTOCOLS,
+    Protocol,
+    frames_of,
+    masked_images,
+    psnr_by_protocol,
+    spaced,
+    ssim_by_protocol,
+)
+from sfgs_jax.evaluation.map_renderer import MapRenderer
+from sfgs_jax.evaluation.perceptual import LpipsWeights, lpips
+from sfgs_jax.evaluation.run_folder import PosedFrames
+from sfgs_jax.geometry import FrameError
+from sfgs_jax.splatting import Gaussians
+
+LPIPS_PROTOCOL: Protocol = "splatam"
+"""The one protocol that LPIPS is given for: it costs several times as much as all the rest."""
+
+
+@dataclass
+class ImageFigures:
+    """Figures of every scored frame.
+
+    Attributes:
+        psnr: dB, by protocol.
+        ssim: by protocol.
+        lpips: LPIPS of the frames it was computed for, protocol `LPIPS_PROTOCOL`.
+        unreadable: frames with a pose that could not be decoded.
+    """
+
+    psnr: dict[Protocol, list[float]] = field(default_factory=lambda: {name: [] for name in PROTOCOLS})
+    ssim: dict[Protocol, list[float]] = field(default_factory=lambda: {name: [] for name in PROTOCOLS})
+    lpips: list[float] = field(default_factory=list)
+    unreadable: int = 0
+
+
+def evaluate_images(
+    gaussians: Gaussians,
+    recording: Recording,
+    posed: PosedFrames,
+    *,
+    lpips_weights: LpipsWeights | None,
+    every: int = 1,
+    ssim_every: int = 5,
+    max_lpips_frames: int = 40,
+    progress: Callable[..., object] | None = None,
+) -> ImageFigures:
+    """Render the map at the estimated poses and compare with the recorded images.
+
+    Args:
+        gaussians: the map.
+        recording: where the images come from.
+        posed: the frames to compare, with their poses.
+        lpips_weights: LPIPS is left out where None.
+        every: take the first and every so manieth frame; see `spaced`.
+        ssim_every: the same for SSIM, of the frames that `every` takes.
+        max_lpips_frames: LPIPS takes at most so many, evenly spaced.
+        progress: called as `progress(done)` with the number of frames of the recording gone through.
+    """
+    chosen = np.zeros(len(recording), bool)
+    chosen[posed.indices] = spaced(len(recording), every)[posed.indices]
+    structural = spaced(len(recording), ssim_every)
+    members = {name: chosen & frames_of(name, len(recording), posed.keyframes) for name in PROTOCOLS}
+    perceptual = _evenly(members[LPIPS_PROTOCOL], max_lpips_frames)
+    poses = dict(zip(posed.indices.tolist(), posed.poses, strict=True))
+    render = MapRenderer(gaussians, recording.camera)
+    figures = ImageFigures()
+    for index, frame in prefetch(recording):
+        if not chosen[index]:
+            pass
+        elif isinstance(frame, FrameError):
+            figures.unreadable += 1
+        else:
+            image = render(poses[index]).rgb
+            own: list[Protocol] = [name for name in PROTOCOLS if members[name][index]]
+            _append(figures.psnr, own, _psnr_by_protocol(image, frame.rgb, frame.depth))
+            if structural[index]:
+                _append(figures.ssim, own, _ssim_by_protocol(image, frame.rgb, frame.depth))
+            if lpips_weights is not None and perceptual[index]:
+                distance = _masked_lpips(lpips_weights, image, frame.rgb, frame.depth)
+                figures.lpips.append(float(distance))
+        if progress is not None:
+            progress(index + 1)
+    return figures
+
+
+def _evenly(members: Bool[np.ndarray, " n"], at_most: int) -> Bool[np.ndarray, " n"]:
+    """At most so many of the members, spread over all of them."""
+    indices = np.flatnonzero(members)
+    places = np.linspace(0, len(indices) - 1, min(at_most, len(indices))).round().astype(int)
+    spread = np.zeros_like(members)
+    spread[indices[places]] = True
+    return spread
+
+
+def _append(
+    figures: dict[Protocol, list[float]], names: list[Protocol], values: dict[Protocol, Float[Array, ""]]
+) -> None:
+    for name in names:
+        figures[name].append(float(values[name]))
+
+
+_psnr_by_protocol = jax.jit(psnr_by_protocol)
+_ssim_by_protocol = jax.jit(ssim_by_protocol)
+
+
+@jax.jit
+def _masked_lpips(
+    weights: LpipsWeights,
+    image: Float[Array, "H W 3"],
+    rgb: Float[Array, "H W 3"],
+    depth: Float[Array, "H W"],
+) -> Float[Array, ""]:
+    masked_image, masked_rgb = masked_images(image.clip(0, 1), rgb, depth)
+    return lpips(weights, masked_image, masked_rgb)

@@ -1,0 +1,70 @@
+"""Reading the folder that a run wrote."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from sfgs_jax.datasets import Recording
+from sfgs_jax.datasets.association import associate
+from sfgs_jax.geometry import InputError, Trajectory, read_tum
+
+# Trajectory files hold time stamps to the microsecond.
+_SAME_TIME_S = 1e-5
+
+
+@dataclass(frozen=True)
+class PosedFrames:
+    """The frames of a recording that a run found a pose for.
+
+    Attributes:
+        indices: (k,) positions in the recording, ascending.
+        poses: (k, 4, 4) `T_world_cam`, float64.
+        keyframes: indices in the recording of the frames that were used for mapping.
+    """
+
+    indices: np.ndarray
+    poses: np.ndarray
+    keyframes: np.ndarray
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object from a file; an empty one if there is no file. Raises InputError for anything else."""
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read {path}: {error}.") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path} holds no JSON object: it is not a file that a run wrote.")
+    return content
+
+
+def posed_frames(run_dir: Path, recording: Recording) -> PosedFrames:
+    """Match the run's trajectory and keyframes with the recording's frames, by time stamp.
+
+    Raises:
+        InputError: a file is missing or damaged, or none of its time stamps is one of the recording's.
+    """
+    trajectory = read_tum(run_dir / "trajectory.txt")
+    indices, order = _frames_at(trajectory, recording)
+    if len(trajectory) and not len(indices):
+        raise InputError(
+            f"No time stamp of {run_dir / 'trajectory.txt'} belongs to a frame of {recording.name}: "
+            "the run was made on another recording."
+        )
+    path = run_dir / "keyframes.txt"
+    keyframes = _frames_at(read_tum(path), recording)[0] if path.exists() else np.zeros(0, np.int64)
+    return PosedFrames(indices, trajectory.poses[order], keyframes)
+
+
+def _frames_at(
+    trajectory: Trajectory, recording: Recording
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+    """Indices of frames in the recording, ascending, and of their poses in the trajectory."""
+    pairs = associate(recording.timestamps, trajectory.timestamps, _SAME_TIME_S)
+    return pairs[:, 0], pairs[:, 1]

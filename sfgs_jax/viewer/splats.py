@@ -1,0 +1,43 @@
+"""A map in the form the browser draws: covariances and colours instead of parameters."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sfgs_jax.geometry import rotations_from_quaternions
+from sfgs_jax.splatting import Gaussians
+
+_SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Gaussians on the host, float32.
+
+    Attributes:
+        centres: (N, 3) metres.
+        covariances: (N, 3, 3) square metres.
+        rgb: (N, 3) in [0, 1]; the colour seen from everywhere, without its dependence on direction.
+        opacities: (N, 1) in [0, 1].
+    """
+
+    centres: np.ndarray
+    covariances: np.ndarray
+    rgb: np.ndarray
+    opacities: np.ndarray
+
+
+def splats_of(gaussians: Gaussians) -> Splats:
+    """The Gaussians in use: covariance R S² Rᵀ from rotation and scales, colour from degree 0."""
+    used = np.asarray(gaussians.valid)
+    rotations = rotations_from_quaternions(np.asarray(gaussians.quaternions)[used])
+    axes = rotations * np.exp(np.asarray(gaussians.log_scales, np.float64)[used])[:, None, :]
+    logits = np.asarray(gaussians.opacity_logits, np.float64)[used]
+    rgb = 0.5 + _SH_DEGREE_0 * np.asarray(gaussians.sh)[used, 0]
+    return Splats(
+        centres=np.asarray(gaussians.means, np.float32)[used],
+        covariances=(axes @ axes.transpose(0, 2, 1)).astype(np.float32),
+        rgb=np.clip(rgb, 0, 1).astype(np.float32),
+        opacities=(0.5 * (1 + np.tanh(0.5 * logits)))[:, None].astype(np.float32),
+    )

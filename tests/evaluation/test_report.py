@@ -1,0 +1,110 @@
+import base64
+import dataclasses
+import re
+import shutil
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+
+from sfgs_jax.evaluation import evaluate_run, write_report
+from sfgs_jax.evaluation.pictures import depth_picture, rgb_picture
+
+_VOID = {"meta", "img", "br", "path", "use", "circle", "rect"}
+
+
+class _Page(HTMLParser):
+    """Collects links and checks that tags are closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.links += [value for name, value in attrs if name in ("src", "href", "xlink:href", "data")]
+        if tag not in _VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.links += [value for name, value in attrs if name in ("src", "href", "xlink:href")]
+
+    def handle_endtag(self, tag):
+        if tag not in _VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture
+def run(fabricated, tmp_path, monkeypatch):
+    monkeypatch.setenv("SFGS_DATA", str(tmp_path / "nothing"))
+    folder = tmp_path / "run"
+    shutil.copytree(fabricated[0], folder)
+    return folder, fabricated[1]
+
+
+def _decode(address: str) -> np.ndarray:
+    data = base64.b64decode(address.removeprefix("data:image/jpeg;base64,"))
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def test_the_page_holds_everything_itself(run):
+    folder, recording = run
+    evaluate_run(folder, recording)
+    path = write_report(folder, recording)
+    assert path == folder / "report.html"
+    text = path.read_text()
+    page = _Page(text)
+    assert page.open == []
+    pictures = [link for link in page.links if link.startswith("data:image/jpeg;base64,")]
+    assert len(pictures) == 6 * 4 + 1
+    assert all(link.startswith(("data:", "#")) for link in page.links)
+    assert not re.search(r"@import|url\((?!#)|<script|<link", text)
+    assert _decode(pictures[0]).shape == (48, 64, 3)
+
+
+def test_the_page_says_what_the_metrics_say(run):
+    folder, recording = run
+    metrics = evaluate_run(folder, recording)
+    text = _Page(write_report(folder, recording).read_text()).text
+    assert f"{metrics['psnr']['all']:.2f}" in text
+    assert f"{metrics['psnr']['gs_icp']:.2f}" in text
+    assert "12.50" in text  # the stage's median
+    assert "slam.window" in text
+    assert "Cannot read the LPIPS weights" in text
+    assert "Position error" in text
+    assert "made <up>" in text  # escaped in the source, so it is text
+
+
+def test_without_ground_truth_there_is_a_reason_and_no_error_plot(run):
+    folder, recording = run
+    recording = dataclasses.replace(recording, ground_truth=None)
+    evaluate_run(folder, recording)
+    text = _Page(write_report(folder, recording, num_views=2).read_text()).text
+    assert "the recording has no ground truth" in text
+    assert "Position error" not in text
+    assert "From above" in text
+
+
+def test_the_page_of_a_run_that_was_not_evaluated(run):
+    folder, recording = run
+    (folder / "metrics.json").unlink()
+    (folder / "config.json").unlink()
+    (folder / "trajectory.txt").write_text("")
+    (folder / "keyframes.txt").write_text("")
+    assert "No frame has a pose" in write_report(folder, recording).read_text()
+
+
+def test_pictures_are_small_and_show_missing_depth_black():
+    image = np.full((480, 640, 3), 0.5, np.float32)
+    assert _decode(rgb_picture(image)).shape == (300, 400, 3)
+    depth = np.full((32, 64), 1.0, np.float32)
+    depth[:, 32:] = 0
+    picture = _decode(depth_picture(depth, 0.5, 2.0))
+    assert picture[:, 40:].max() < 20
+    assert picture[:, :24].max() > 150
