@@ -1,0 +1,287 @@
+"""Front-to-back compositing of tile lists, and its gradient in closed form.
+
+Tiles are ordered by the length of their lists and taken in blocks. A block walks down its lists, a chunk
+of Gaussians per tile and step, until the longest ends or no pixel lets light through: time follows the
+pairs there are, not the room for them, and what a step makes stays in the processor's cache.
+
+For pixel x and the i-th Gaussian of its list, with U = [[p, q], [0, r]] and log opacity o,
+
+    (u, v) = U (x - centre)        a_i = exp(o - (u² + v²) / 2), at most 0.99, 0 below 1/255
+    t_i = (1 - a_1) ... (1 - a_(i-1))        w_i = t_i a_i, 0 from where t_(i+1) < 1e-4        out = sum_i w_i f_i
+
+The gradient walks the same way, recomputing a. With g the cotangent of `out` and h_i = w_i <g, f_i>,
+
+    dL/df_i = w_i g        dL/d(exponent_i) = h_i - a_i / (1 - a_i) sum_(j>i) h_j
+
+The last sum is <g, out> less what was passed already, so nothing has to be kept per Gaussian. u and v are
+linear in x, so the gradients of a Gaussian's six numbers are combinations of the six moments
+sum_x dL/d(exponent) [1, x, y, x², xy, y²] over the tile.
+
+Source: the equations of Kerbl et al., 3D Gaussian splatting, 2023.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from sfgs_jax.splatting.binning import TileLists, tile_grid
+from sfgs_jax.splatting.projection import MIN_ALPHA
+from sfgs_jax.splatting.sorting import stable_argsort
+
+MAX_ALPHA = 0.99
+"""No Gaussian is more opaque than this."""
+
+MIN_TRANSMITTANCE = 1e-4
+"""A Gaussian that would leave less light than this ends its pixel's list, and is not drawn itself."""
+
+_CHUNK = 8
+"""Gaussians per tile and step."""
+
+_BLOCK_PIXELS = 32_768
+"""Pixels per block: few enough for the cache, enough to keep the cores busy."""
+
+_NOTHING = -1e4
+"""Log opacity of an empty place; its exponential is 0, and unlike -inf it makes no NaN."""
+
+
+class _Blocks(eqx.Module):
+    """Tiles in blocks, longest lists first; the last block is filled up with empty lists.
+
+    Attributes:
+        places: (T,) where in the blocks each tile is.
+        starts: (blocks, B) where the tiles' lists begin.
+        counts: (blocks, B) how long they are.
+        centres: (blocks, B, 2) centres of the tiles, pixels (u, v).
+    """
+
+    places: Int[Array, " t"]
+    starts: Int[Array, "blocks b"]
+    counts: Int[Array, "blocks b"]
+    centres: Float[Array, "blocks b 2"]
+
+
+def _make_blocks(lists: TileLists, columns: int, tile_size: int, dtype: jnp.dtype) -> _Blocks:
+    tiles, capacity = lists.counts.shape[0], lists.gaussians.shape[0]
+    size = min(tiles, max(1, _BLOCK_PIXELS // tile_size**2))
+    order = stable_argsort((capacity - lists.counts).astype(jnp.uint32), capacity.bit_length())
+    empty = -tiles % size
+
+    def blocked(values: Array) -> Array:
+        values = jnp.pad(values[order], [(0, empty)] + [(0, 0)] * (values.ndim - 1))
+        return values.reshape(-1, size, *values.shape[1:])
+
+    index = jnp.arange(tiles, dtype=jnp.int32)
+    corners = jnp.stack([index % columns, index // columns], axis=-1) * tile_size
+    return _Blocks(
+        places=jnp.zeros(tiles, jnp.int32).at[order].set(index),
+        starts=blocked(lists.starts),
+        counts=blocked(lists.counts),
+        centres=blocked(corners.astype(dtype) + (tile_size - 1) / 2),
+    )
+
+
+def _pixel_offsets(tile_size: int, dtype: jnp.dtype) -> tuple[Array, Array]:
+    """Offsets (P,) of a tile's pixels from its centre, along u and along v, row by row."""
+    axis = np.arange(tile_size) - (tile_size - 1) / 2
+    return jnp.asarray(np.tile(axis, tile_size), dtype), jnp.asarray(np.repeat(axis, tile_size), dtype)
+
+
+class _Chunk(eqx.Module):
+    """The next K Gaussians of each of B lists.
+
+    Attributes:
+        index: (K, B) indices of the Gaussians; N where the list has ended.
+        u, v: (K, B) centres relative to the tiles'.
+        p, q, r: (K, B) whitening.
+        log_opacity: (K, B).
+        features: (K, B, C).
+    """
+
+    index: Array
+    u: Array
+    v: Array
+    p: Array
+    q: Array
+    r: Array
+    log_opacity: Array
+    features: Array
+
+
+def _fetch(table: Array, lists: TileLists, blocks: _Blocks, block: Array, step: Array) -> _Chunk:
+    place = step * _CHUNK + jnp.arange(_CHUNK, dtype=jnp.int32)[:, None]
+    live = place < blocks.counts[block]
+    at = jnp.where(live, blocks.starts[block] + place, 0)
+    index = jnp.where(live, lists.gaussians[at], table.shape[0])
+    rows = table.at[index].get(mode="clip")
+    centres = blocks.centres[block]
+    chunk = _Chunk(
+        index=index,
+        u=rows[..., 0] - centres[:, 0],
+        v=rows[..., 1] - centres[:, 1],
+        p=rows[..., 2],
+        q=rows[..., 3],
+        r=rows[..., 4],
+        log_opacity=jnp.where(live, rows[..., 5], _NOTHING),
+        features=rows[..., 6:],
+    )
+    return jax.lax.optimization_barrier(chunk)
+
+
+def _alphas(chunk: _Chunk, tile_size: int) -> Float[Array, "k b p"]:
+    x, y = _pixel_offsets(tile_size, chunk.u.dtype)
+    u0, v0 = -(chunk.p * chunk.u + chunk.q * chunk.v), -chunk.r * chunk.v
+    u = u0[..., None] + chunk.p[..., None] * x + chunk.q[..., None] * y
+    v = v0[..., None] + chunk.r[..., None] * y
+    alphas = jnp.exp(chunk.log_opacity[..., None] - 0.5 * (u * u + v * v))
+    alphas = jnp.where(alphas < MIN_ALPHA, 0, jnp.minimum(alphas, MAX_ALPHA))
+    # Computed once: what follows reads it many times.
+    return jax.lax.optimization_barrier(alphas)
+
+
+def _to_image(tiled: Array, blocks: _Blocks, width: int, height: int, tile_size: int) -> Array:
+    """(H, W, C) image of (blocks, C, B, P)."""
+    columns, rows = tile_grid(width, height, tile_size)
+    channels = tiled.shape[1]
+    tiles = jnp.moveaxis(tiled, 1, 2).reshape(-1, channels, tile_size**2)[blocks.places]
+    grid = tiles.reshape(rows, columns, channels, tile_size, tile_size).transpose(0, 3, 1, 4, 2)
+    return grid.reshape(rows * tile_size, columns * tile_size, channels)[:height, :width]
+
+
+def _to_tiles(image: Array, blocks: _Blocks, tile_size: int) -> Array:
+    """(blocks, C, B, P) of an (H, W, C) image; the transpose of `_to_image`."""
+    height, width, channels = image.shape
+    columns, rows = tile_grid(width, height, tile_size)
+    padded = jnp.pad(image, ((0, rows * tile_size - height), (0, columns * tile_size - width), (0, 0)))
+    grid = padded.reshape(rows, tile_size, columns, tile_size, channels).transpose(0, 2, 4, 1, 3)
+    tiles = grid.reshape(rows * columns, channels, tile_size**2)
+    count, size = blocks.counts.shape
+    ordered = jnp.zeros((count * size, *tiles.shape[1:]), tiles.dtype).at[blocks.places].set(tiles)
+    return jnp.moveaxis(ordered.reshape(count, size, channels, tile_size**2), 1, 2)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2, 3, 4))
+def composite(
+    table: Float[Array, "n d"], lists: TileLists, width: int, height: int, tile_size: int
+) -> Float[Array, "{height} {width} d-6"]:
+    """Features of the Gaussians weighted by what the camera sees of them.
+
+    Args:
+        table: (N, 6 + C) centre u, v, whitening p, q, r, log opacity, then C features.
+        lists: the Gaussians of each tile.
+        width: of the image, pixels; static.
+        height: of the image, pixels; static.
+        tile_size: pixels; static.
+
+    Returns:
+        (H, W, C) sums of weights times features.
+    """
+    return _forward(table, lists, width, height, tile_size)[0]
+
+
+def _forward(table: Array, lists: TileLists, width: int, height: int, tile_size: int) -> tuple[Array, tuple]:
+    columns, _ = tile_grid(width, height, tile_size)
+    blocks = _make_blocks(lists, columns, tile_size, table.dtype)
+    count, size = blocks.counts.shape
+    pixels, channels = tile_size**2, table.shape[1] - 6
+
+    def draw_block(block: Array, tiled: Array) -> Array:
+        longest = jnp.max(blocks.counts[block])
+
+        def more(state: tuple[Array, Array, Array]) -> Array:
+            step, transmittance, _ = state
+            return (step * _CHUNK < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
+
+        def draw(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            step, transmittance, out = state
+            chunk = _fetch(table, lists, blocks, block, step)
+            alphas = _alphas(chunk, tile_size)
+            features = jnp.moveaxis(chunk.features, -1, 1)[..., None]
+            for i in range(_CHUNK):
+                after = transmittance * (1 - alphas[i])
+                weight = jnp.where(after >= MIN_TRANSMITTANCE, transmittance * alphas[i], 0)
+                out = out + features[i] * weight
+                transmittance = after
+            return step + 1, transmittance, out
+
+        start = (
+            jnp.int32(0),
+            jnp.ones((size, pixels), table.dtype),
+            jnp.zeros((channels, size, pixels), table.dtype),
+        )
+        _, _, out = jax.lax.while_loop(more, draw, start)
+        return tiled.at[block].set(out)
+
+    tiled = jax.lax.fori_loop(0, count, draw_block, jnp.zeros((count, channels, size, pixels), table.dtype))
+    return _to_image(tiled, blocks, width, height, tile_size), (table, lists, blocks, tiled)
+
+
+def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotangent: Array) -> tuple:
+    table, lists, blocks, tiled = residuals
+    cotangents = _to_tiles(cotangent, blocks, tile_size)
+    count, size = blocks.counts.shape
+    pixels = tile_size**2
+    x, y = _pixel_offsets(tile_size, table.dtype)
+    basis = jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    places = jnp.arange(_CHUNK, dtype=jnp.int32)[:, None, None]
+
+    def walk_block(block: Array, gradients: Array) -> Array:
+        longest = jnp.max(blocks.counts[block])
+        g = cotangents[block]
+        total = jnp.sum(g * tiled[block], axis=0)
+
+        def more(state: tuple[Array, Array, Array, Array]) -> Array:
+            step, transmittance, _, _ = state
+            return (step * _CHUNK < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
+
+        def walk(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+            step, transmittance, passed, gradients = state
+            chunk = _fetch(table, lists, blocks, block, step)
+            alphas = _alphas(chunk, tile_size)
+
+            before = transmittance[None]
+            for j in range(_CHUNK - 1):
+                before = before * jnp.where(places > j, 1 - alphas[j], 1)
+            kept = before * (1 - alphas) >= MIN_TRANSMITTANCE
+            weights = jax.lax.optimization_barrier(jnp.where(kept, before * alphas, 0))
+            toward = jnp.sum(jnp.moveaxis(chunk.features, -1, 0)[..., None] * g[:, None], axis=0)
+            h = jax.lax.optimization_barrier(weights * toward)
+            behind = (total - passed)[None]
+            for j in range(_CHUNK):
+                behind = behind - jnp.where(places >= j, h[j], 0)
+            moves = (weights > 0) & (alphas < MAX_ALPHA)
+            d_exponent = jnp.where(moves, h - alphas / (1 - alphas) * behind, 0)
+
+            moments = jnp.einsum("kbp,pm->kbm", d_exponent, basis)
+            d_features = jnp.einsum("kbp,cbp->kbc", weights, g)
+            rows = jnp.concatenate([_from_moments(chunk, moments), d_features], axis=-1)
+            return (
+                step + 1,
+                transmittance * jnp.prod(1 - alphas, axis=0),
+                passed + jnp.sum(h, axis=0),
+                gradients.at[chunk.index].add(rows, mode="drop"),
+            )
+
+        start = (jnp.int32(0), jnp.ones((size, pixels), table.dtype), jnp.zeros_like(total), gradients)
+        return jax.lax.while_loop(more, walk, start)[-1]
+
+    return jax.lax.fori_loop(0, count, walk_block, jnp.zeros_like(table)), None
+
+
+def _from_moments(chunk: _Chunk, moments: Float[Array, "k b 6"]) -> Float[Array, "k b 6"]:
+    """Gradients of centre, whitening and log opacity from the moments of dL/d(exponent)."""
+    s, sx, sy, sxx, sxy, syy = (moments[..., i] for i in range(6))
+    p, q, r = chunk.p, chunk.q, chunk.r
+    u0, v0 = -(p * chunk.u + q * chunk.v), -r * chunk.v
+    # Sums of dL/d(exponent) times u, v, and times those and the pixel's offset from the centre.
+    su, sv = u0 * s + p * sx + q * sy, v0 * s + r * sy
+    sux = u0 * sx + p * sxx + q * sxy - chunk.u * su
+    suy = u0 * sy + p * sxy + q * syy - chunk.v * su
+    svy = v0 * sy + r * syy - chunk.v * sv
+    return jnp.stack([p * su, q * su + r * sv, -sux, -suy, -svy, s], axis=-1)
+
+
+composite.defvjp(_forward, _backward)

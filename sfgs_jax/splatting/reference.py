@@ -1,0 +1,129 @@
+"""The renderer's equations once more, slowly: every Gaussian at every pixel, gradients by JAX.
+
+The oracle of the tests. It shares no code with the fast path beyond the classes and constants, and writes
+covariances and conics as the papers do. Time and memory are N x H x W.
+"""
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jaxtyping import Array, Float
+
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.splatting.compositing import MAX_ALPHA, MIN_TRANSMITTANCE
+from sfgs_jax.splatting.config import RenderConfig
+from sfgs_jax.splatting.gaussians import Gaussians
+from sfgs_jax.splatting.projection import LOW_PASS, MIN_ALPHA
+from sfgs_jax.splatting.rendering import RenderOutput
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    T_world_cam: jaxlie.SE3,
+    background: Float[Array, "3"] | None = None,
+    *,
+    config: RenderConfig = RenderConfig(),
+) -> RenderOutput:
+    """As `splatting.render`, which see; tile size and pair capacity have no influence."""
+    view = jax.vmap(lambda g: _view(g, camera, T_world_cam, config))(gaussians)
+    centre, conic, opacity, colour, depth, drawn = view
+    order = jnp.argsort(jnp.where(drawn, depth.astype(jnp.float32), jnp.inf), stable=True)
+    centre, conic, opacity, colour, depth, drawn = (value[order] for value in view)
+
+    def pixel(position: Array) -> tuple[Array, Array, Array]:
+        d = position - centre
+        alpha = opacity * jnp.exp(-0.5 * jnp.einsum("ni,nij,nj->n", d, conic, d))
+        alpha = jnp.where(drawn & (alpha >= MIN_ALPHA), jnp.minimum(alpha, MAX_ALPHA), 0)
+        after = jnp.cumprod(1 - alpha)
+        before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
+        weight = jnp.where(after >= MIN_TRANSMITTANCE, before * alpha, 0)
+        return weight @ colour, weight @ depth, jnp.sum(weight)
+
+    rgb, accumulated, alpha = jax.vmap(jax.vmap(pixel))(camera.pixels().astype(depth.dtype))
+    if background is not None:
+        rgb = rgb + (1 - alpha)[..., None] * background
+    return RenderOutput(
+        rgb=rgb,
+        depth=jnp.where(alpha > 0, accumulated / jnp.where(alpha > 0, alpha, 1), 0),
+        alpha=alpha,
+        accumulated_depth=accumulated,
+        overflow=jnp.int32(0),
+    )
+
+
+def _view(
+    gaussian: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Image centre, conic, opacity, colour, depth of one Gaussian, and whether it is drawn."""
+    R_world_cam = se3.rotation_matrix(T_world_cam)
+    offset = gaussian.means - T_world_cam.wxyz_xyz[4:]
+    point = R_world_cam.T @ offset
+    drawn = gaussian.valid & (point[2] > config.near) & (point[2] < config.far)
+
+    # What is not drawn is computed for a Gaussian that could be, so that no NaN arises.
+    offset = jnp.where(drawn, offset, R_world_cam[:, 2])
+    quaternion = jnp.where(drawn, gaussian.quaternions, jnp.asarray([1, 0, 0, 0], offset.dtype))
+    scale = jnp.exp(jnp.where(drawn, gaussian.log_scales, 0))
+    logit = jnp.where(drawn, gaussian.opacity_logits, 0)
+    sh = jnp.where(drawn, gaussian.sh, 0)
+
+    x, y, z = R_world_cam.T @ offset
+    R = R_world_cam.T @ _rotation(quaternion)
+    covariance = R @ jnp.diag(scale**2) @ R.T
+    limit_u, limit_v = 0.3 * camera.width / (2 * camera.fx), 0.3 * camera.height / (2 * camera.fy)
+    left, right = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
+    top, bottom = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
+    tx = jnp.clip(x / z, left - limit_u, right + limit_u) * z
+    ty = jnp.clip(y / z, top - limit_v, bottom + limit_v) * z
+    zero = jnp.zeros_like(z)
+    J = jnp.stack(
+        [
+            jnp.stack([camera.fx / z, zero, -camera.fx * tx / z**2]),
+            jnp.stack([zero, camera.fy / z, -camera.fy * ty / z**2]),
+        ]
+    )
+    image_covariance = J @ covariance @ J.T
+    blurred = image_covariance + LOW_PASS * jnp.eye(2, dtype=z.dtype)
+    opacity = jax.nn.sigmoid(logit)
+    if config.antialiased:
+        ratio = jnp.linalg.det(image_covariance) / jnp.linalg.det(blurred)
+        opacity = opacity * jnp.sqrt(jnp.maximum(ratio, 1e-12))
+    centre = jnp.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+    return centre, jnp.linalg.inv(blurred), opacity, _colour(sh, offset), z, drawn
+
+
+def _rotation(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    w, x, y, z = quaternion / jnp.linalg.norm(quaternion)
+    vector = jnp.stack([x, y, z])
+    zero = jnp.zeros_like(x)
+    cross = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+    # Rodrigues: (w² - |v|²) I + 2 v vᵀ + 2 w [v]x.
+    return (
+        (w * w - vector @ vector) * jnp.eye(3, dtype=x.dtype) + 2 * jnp.outer(vector, vector) + 2 * w * cross
+    )
+
+
+def _colour(sh: Float[Array, "k 3"], offset: Float[Array, "3"]) -> Float[Array, "3"]:
+    """0.5 + the sum of the harmonics, not below 0; the constants as 3DGS prints them."""
+    x, y, z = offset / jnp.linalg.norm(offset)
+    xx, yy, zz = x * x, y * y, z * z
+    basis = [
+        0.28209479177387814 * jnp.ones_like(x),
+        -0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        -0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2 * zz - xx - yy),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3 * xx - yy),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * zz - xx - yy),
+        0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+        -0.4570457994644658 * x * (4 * zz - xx - yy),
+        1.445305721320277 * z * (xx - yy),
+        -0.5900435899266435 * x * (xx - 3 * yy),
+    ]
+    return jnp.maximum(0.5 + jnp.stack(basis[: sh.shape[0]]) @ sh, 0)
