@@ -26,8 +26,8 @@ def add_noise(
     """Colour and depth as a structured-light camera (Kinect) would give them.
 
     Depth has axial noise (Nguyen, Izadi and Lovell, Modeling Kinect Sensor Noise for Improved 3D
-    Reconstruction and Tracking, 2012: sigma = 0.0012 + 0.0019 (z - 0.4)² metres), the steps of a quantised disparity, and
-    holes at grazing angles and at depth edges. Colour has Gaussian noise.
+    Reconstruction and Tracking, 2012: sigma = 0.0012 + 0.0019 (z - 0.4)² metres), the steps of a quantised
+    disparity, and holes at grazing angles and at depth edges. Colour has Gaussian noise.
 
     Args:
         key: random key of the frame.

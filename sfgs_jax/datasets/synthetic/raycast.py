@@ -21,11 +21,11 @@ class Hits(eqx.Module):
         depth: along the camera's z, metres; 0 where nothing is hit.
     """
 
-    triangle: Int[Array, "*n"]
-    depth: Float[Array, "*n"]
+    triangle: Int[Array, " n"]
+    depth: Float[Array, " n"]
 
 
-def cast(triangles: Float[Array, "t 3 3"], camera: Camera, pixels: Float[Array, "h w 2"]) -> Hits:
+def cast(triangles: Float[Array, "t 3 3"], camera: Camera, pixels: Float[Array, "n 2"]) -> Hits:
     """Cast the rays of pixels against triangles that are given in camera coordinates.
 
     Back faces are invisible. Source: Möller and Trumbore, Fast, Minimum Storage Ray/Triangle Intersection,
@@ -38,8 +38,8 @@ def cast(triangles: Float[Array, "t 3 3"], camera: Camera, pixels: Float[Array, 
         camera: whose rays to cast.
         pixels: (u, v), anywhere.
     """
-    x = (pixels[..., 0] - camera.cx) / camera.fx
-    y = (pixels[..., 1] - camera.cy) / camera.fy
+    x = (pixels[:, 0] - camera.cx) / camera.fx
+    y = (pixels[:, 1] - camera.cy) / camera.fy
     v0 = triangles[:, 0]
     e1, e2 = triangles[:, 1] - v0, triangles[:, 2] - v0
     k = jnp.sum(e2 * jnp.cross(-v0, e1), axis=1)
