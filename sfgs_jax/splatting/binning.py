@@ -53,25 +53,59 @@ def bin_into_tiles(
     columns, rows = tile_grid(width, height, tile_size)
     tiles = columns * rows
     order = depth_order(projected.depths, projected.visible, near, far)
-    ellipses = _Ellipses.of(projected, order)
+    spans, row_overflow = _row_spans(projected, order, columns, rows, tile_size, pair_capacity)
 
-    first_row, row_counts = ellipses.tile_rows(rows, tile_size)
-    owner, offset, row_overflow = _expand(row_counts, pair_capacity)
-    row = first_row[owner] + offset
-    first_column, column_counts = ellipses.at(owner).tile_columns(row, columns, tile_size)
-    column_counts = jnp.where(offset >= 0, column_counts, 0)
-
-    entry, offset, pair_overflow = _expand(column_counts, pair_capacity)
-    tile = (row * columns + first_column)[entry] + offset
+    entry, offset, pair_overflow = _expand(spans.counts, pair_capacity)
+    tile = spans.first_tiles[entry] + offset
     tile = jnp.where(offset >= 0, tile, tiles)
     by_tile = stable_argsort(tile.astype(jnp.uint32), tiles.bit_length())
     counts = jnp.zeros(tiles, jnp.int32).at[tile].add(1, mode="drop")
     return TileLists(
-        gaussians=order[owner[entry[by_tile]]],
+        gaussians=spans.gaussians[entry[by_tile]],
         starts=jnp.cumsum(counts) - counts,
         counts=counts,
         overflow=row_overflow + pair_overflow,
     )
+
+
+def count_rows(projected: Projected, *, height: int, tile_size: int) -> Int[Array, ""]:
+    """Number of (row of tiles, Gaussian) pairs."""
+    ellipses = _Ellipses.of(projected, jnp.arange(projected.visible.shape[0]))
+    return jnp.sum(ellipses.tile_rows(tile_grid(1, height, tile_size)[1], tile_size)[1])
+
+
+def count_pairs(
+    projected: Projected, *, width: int, height: int, tile_size: int, row_capacity: int
+) -> Int[Array, ""]:
+    """Number of (tile, Gaussian) pairs; `row_capacity` must not be below `count_rows`."""
+    columns, rows = tile_grid(width, height, tile_size)
+    order = jnp.arange(projected.visible.shape[0])
+    return jnp.sum(_row_spans(projected, order, columns, rows, tile_size, row_capacity)[0].counts)
+
+
+class _RowSpans(eqx.Module):
+    """Stretches of adjacent tiles in one row that one Gaussian reaches."""
+
+    gaussians: Array
+    first_tiles: Array
+    counts: Array
+
+
+def _row_spans(
+    projected: Projected, order: Array, columns: int, rows: int, tile_size: int, capacity: int
+) -> tuple[_RowSpans, Array]:
+    """The spans of the Gaussians in `order`, and how many found no room."""
+    ellipses = _Ellipses.of(projected, order)
+    first_row, row_counts = ellipses.tile_rows(rows, tile_size)
+    owner, offset, overflow = _expand(row_counts, capacity)
+    row = first_row[owner] + offset
+    first_column, counts = ellipses.at(owner).tile_columns(row, columns, tile_size)
+    spans = _RowSpans(
+        gaussians=order[owner],
+        first_tiles=row * columns + first_column,
+        counts=jnp.where(offset >= 0, counts, 0),
+    )
+    return spans, overflow
 
 
 class _Ellipses(eqx.Module):

@@ -6,8 +6,9 @@ pairs there are, not the room for them, and what a step makes stays in the proce
 
 For pixel x and the i-th Gaussian of its list, with U = [[p, q], [0, r]] and log opacity o,
 
-    (u, v) = U (x - centre)        a_i = exp(o - (u² + v²) / 2), at most 0.99, 0 below 1/255
-    t_i = (1 - a_1) ... (1 - a_(i-1))        w_i = t_i a_i, 0 from where t_(i+1) < 1e-4        out = sum_i w_i f_i
+    (u, v) = U (x - centre)              a_i = exp(o - (u² + v²) / 2), at most 0.99, 0 below 1/255
+    t_i = (1 - a_1) ... (1 - a_(i-1))    w_i = t_i a_i, 0 from where t_(i+1) < 1e-4
+    out = sum_i w_i f_i
 
 The gradient walks the same way, recomputing a. With g the cotangent of `out` and h_i = w_i <g, f_i>,
 
@@ -226,7 +227,7 @@ def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotange
     pixels = tile_size**2
     x, y = _pixel_offsets(tile_size, table.dtype)
     basis = jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-    places = jnp.arange(_CHUNK, dtype=jnp.int32)[:, None, None]
+    channels = cotangent.shape[-1]
 
     def walk_block(block: Array, gradients: Array) -> Array:
         longest = jnp.max(blocks.counts[block])
@@ -242,26 +243,30 @@ def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotange
             chunk = _fetch(table, lists, blocks, block, step)
             alphas = _alphas(chunk, tile_size)
 
-            before = transmittance[None]
-            for j in range(_CHUNK - 1):
-                before = before * jnp.where(places > j, 1 - alphas[j], 1)
-            kept = before * (1 - alphas) >= MIN_TRANSMITTANCE
-            weights = jax.lax.optimization_barrier(jnp.where(kept, before * alphas, 0))
-            toward = jnp.sum(jnp.moveaxis(chunk.features, -1, 0)[..., None] * g[:, None], axis=0)
+            before = [transmittance]
+            for alpha in alphas:
+                before.append(before[-1] * (1 - alpha))
+            kept = jnp.stack(before[1:]) >= MIN_TRANSMITTANCE
+            weights = jnp.where(kept, jnp.stack(before[:-1]) * alphas, 0)
+            weights = jax.lax.optimization_barrier(weights)
+            # Unrolled: a sum over an axis would not fuse.
+            toward = sum(
+                (chunk.features[..., c, None] * g[c] for c in range(channels)), start=jnp.zeros_like(alphas)
+            )
             h = jax.lax.optimization_barrier(weights * toward)
-            behind = (total - passed)[None]
-            for j in range(_CHUNK):
-                behind = behind - jnp.where(places >= j, h[j], 0)
+            behind = [total - passed]
+            for contribution in h:
+                behind.append(behind[-1] - contribution)
             moves = (weights > 0) & (alphas < MAX_ALPHA)
-            d_exponent = jnp.where(moves, h - alphas / (1 - alphas) * behind, 0)
+            d_exponent = jnp.where(moves, h - alphas / (1 - alphas) * jnp.stack(behind[1:]), 0)
 
             moments = jnp.einsum("kbp,pm->kbm", d_exponent, basis)
-            d_features = jnp.einsum("kbp,cbp->kbc", weights, g)
+            d_features = jnp.sum(weights[:, :, None] * jnp.moveaxis(g, 0, 1), axis=-1)
             rows = jnp.concatenate([_from_moments(chunk, moments), d_features], axis=-1)
             return (
                 step + 1,
-                transmittance * jnp.prod(1 - alphas, axis=0),
-                passed + jnp.sum(h, axis=0),
+                before[-1],
+                total - behind[-1],
                 gradients.at[chunk.index].add(rows, mode="drop"),
             )
 

@@ -25,3 +25,7 @@ class RenderConfig:
     def __post_init__(self) -> None:
         if self.tile_size < 1 or self.pair_capacity < 1 or not 0 < self.near < self.far:
             raise ValueError(f"{self}: tile_size and pair_capacity must be positive, and 0 < near < far.")
+
+
+DEFAULT = RenderConfig()
+"""The settings that functions take where none are given."""

@@ -18,7 +18,7 @@ import jaxlie
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.splatting.config import RenderConfig
+from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.gaussians import Gaussians
 from sfgs_jax.splatting.harmonics import sh_colours
 
@@ -51,7 +51,7 @@ class Projected(eqx.Module):
 
 
 def project(
-    gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, *, config: RenderConfig = RenderConfig()
+    gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, *, config: RenderConfig = DEFAULT
 ) -> tuple[Projected, Float[Array, "n 3"]]:
     """Images of the Gaussians, and their RGB as seen from the camera.
 

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from sfgs_jax.splatting.binning import bin_into_tiles
 from sfgs_jax.splatting.compositing import composite
-from sfgs_jax.splatting.config import RenderConfig
+from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.projection import Projected
 
 
@@ -16,7 +16,7 @@ def rasterize(
     *,
     width: int,
     height: int,
-    config: RenderConfig = RenderConfig(),
+    config: RenderConfig = DEFAULT,
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"], Int[Array, ""]]:
     """Composite the features of the Gaussians front to back.
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.splatting.compositing import MAX_ALPHA, MIN_TRANSMITTANCE
-from sfgs_jax.splatting.config import RenderConfig
+from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.gaussians import Gaussians
 from sfgs_jax.splatting.projection import LOW_PASS, MIN_ALPHA
 from sfgs_jax.splatting.rendering import RenderOutput
@@ -23,7 +23,7 @@ def render(
     T_world_cam: jaxlie.SE3,
     background: Float[Array, "3"] | None = None,
     *,
-    config: RenderConfig = RenderConfig(),
+    config: RenderConfig = DEFAULT,
 ) -> RenderOutput:
     """As `splatting.render`, which see; tile size and pair capacity have no influence."""
     view = jax.vmap(lambda g: _view(g, camera, T_world_cam, config))(gaussians)

@@ -6,7 +6,7 @@ import jaxlie
 from jaxtyping import Array, Float, Int
 
 from sfgs_jax.geometry import Camera
-from sfgs_jax.splatting.config import RenderConfig
+from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.gaussians import Gaussians
 from sfgs_jax.splatting.projection import project
 from sfgs_jax.splatting.rasterization import rasterize
@@ -38,7 +38,7 @@ def render(
     T_world_cam: jaxlie.SE3,
     background: Float[Array, "3"] | None = None,
     *,
-    config: RenderConfig = RenderConfig(),
+    config: RenderConfig = DEFAULT,
 ) -> RenderOutput:
     """Draw the Gaussians as the camera sees them.
 
