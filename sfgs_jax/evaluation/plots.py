@@ -79,16 +79,7 @@ def plot_errors(absolute: Ate) -> str:
         axes.fill_between(seconds, errors, color=_ESTIMATE, alpha=0.12, linewidth=0)
         axes.plot(seconds, errors, color=_ESTIMATE, linewidth=1.3)
         axes.axhline(100 * absolute.rmse_m, color="#dc2626", linewidth=1, linestyle="--")
-        axes.annotate(
-            f"RMSE {100 * absolute.rmse_m:.2f} cm",
-            (1, 100 * absolute.rmse_m),
-            xycoords=("axes fraction", "data"),
-            xytext=(-4, 4),
-            textcoords="offset points",
-            ha="right",
-            color="#dc2626",
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
-        )
+        axes.set_title(f"RMSE {100 * absolute.rmse_m:.2f} cm", loc="right", color="#dc2626", fontsize=10)
         axes.set_title("Position error", loc="left", fontweight="bold")
         axes.set_xlabel("time (s)")
         axes.set_ylabel("error (cm)")

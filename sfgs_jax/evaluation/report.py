@@ -93,8 +93,8 @@ class _Headline:
 
 
 _HEADLINES = (
-    _Headline("ATE RMSE", ("ate", "rmse_m"), "cm", 2, 100, "over all frames"),
-    _Headline("PSNR", ("psnr", "all"), "dB", 2, note="every pixel, every frame"),
+    _Headline("ATE RMSE", ("ate", "rmse_m"), "cm", 2, 100.0, "over all frames"),
+    _Headline("PSNR", ("psnr", "all"), "dB", 2, note="every pixel"),
     _Headline("SSIM", ("ssim", "all"), "", 3, note="every pixel"),
     _Headline("LPIPS", ("lpips_squeeze", "splatam"), "", 3, note="SqueezeNet, lower is better"),
     _Headline("Frames tracked", ("frames", "tracked"), "", 0),

@@ -52,9 +52,7 @@ def evaluate_run(
         InputError: a file of the run is missing, damaged, or belongs to another recording.
     """
     if every < 1 or ssim_every < 1:
-        raise InputError(
-            f"Every {min(every, ssim_every)}th frame is none: `every` and `ssim_every` start at 1."
-        )
+        raise InputError(f"every={every} and ssim_every={ssim_every} choose no frames: both start at 1.")
     path = run_dir / "metrics.json"
     kept = {key: value for key, value in read_json(path).items() if key not in _OWN_KEYS}
     unavailable: dict[str, str] = {}
