@@ -38,11 +38,11 @@ class RunArguments:
     """Track and map a recording."""
 
     source: tyro.conf.Positional[str]
-    """Folder of the recording, or `synthetic` for the built-in room (`synthetic:frames=60,width=160,height=120`)."""
+    """Folder of the recording, or the built-in room: `synthetic` or `synthetic:frames=60,width=160`."""
     out: Path | None = None
     """Folder for the results; runs/NAME if not given."""
     dataset: str | None = None
-    """Layout of the recording, if it should not be recognised: tum, 7scenes, replica, icl_nuim, scannet, folder."""
+    """Layout of the recording, if not to be recognised: tum, 7scenes, replica, icl_nuim, scannet, folder."""
     config: Path | None = None
     """A config.json of an earlier run whose settings are taken."""
     overwrite: bool = False
@@ -99,21 +99,21 @@ def _run(options: RunArguments, recording: Recording, folder: Path) -> int:
             result = run(prefetch(recording), recording.camera, options.slam, observer=watch)
         except TooManySkipped as error:
             failure, result = error, error.run
-    folder = _save(result, folder)
+    written = _save(result, folder)
     if failure is not None:
         logger.error("%s", failure)
     if result.interrupted:
         print(
-            f"Interrupted after {result.num_frames} frames; what there is lies in {folder}.", file=sys.stderr
+            f"Interrupted after {result.num_frames} frames; what there is lies in {written}.", file=sys.stderr
         )
         return 130
     if not result.timestamps:
         raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")
     if options.evaluate:
-        metrics = evaluate_folder(folder, recording, quiet=options.quiet)
+        metrics = evaluate_folder(written, recording, quiet=options.quiet)
         if not options.quiet:
-            print(_summary(metrics, folder))
-    return 1 if failure is not None else 0
+            print(_summary(metrics, written))
+    return 1 if failure is not None or written != folder else 0
 
 
 class _Watcher:
@@ -141,7 +141,13 @@ class _Watcher:
         rate = progress.done / result.stopwatch.elapsed
         self._report(progress.done, f"{rate:.1f} frames/s, {progress.num_gaussians} Gaussians{self._error}")
         if progress.done % CHECKPOINT_FRAMES == 0:
+            self._checkpoint(result)
+
+    def _checkpoint(self, result: Run) -> None:
+        try:
             write_trajectories(result, self._folder)
+        except OSError as error:
+            logger.warning("the trajectory so far could not be written: %s", error)
 
     def _running_error(self, result: Run) -> str:
         truth = self._recording.ground_truth
@@ -182,9 +188,7 @@ def _summary(metrics: dict, folder: Path) -> str:
     if "ate" in metrics:
         lines.append(f"ATE RMSE {100 * metrics['ate']['rmse_m']:.2f} cm")
     if "psnr" in metrics:
-        lines.append(
-            f"PSNR {metrics['psnr']['all']:.2f} dB, SSIM {metrics['ssim']['all']:.3f} (every pixel of every frame)"
-        )
+        lines.append(f"PSNR {metrics['psnr']['all']:.2f} dB, SSIM {metrics['ssim']['all']:.3f} (every pixel)")
     lines += [f"no {name}: {reason}" for name, reason in metrics.get("unavailable", {}).items()]
     lines += [
         f"report: {folder / 'report.html'}",

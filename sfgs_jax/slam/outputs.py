@@ -42,8 +42,8 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
         present = sorted(path.name for path in folder.iterdir())
         if present and not overwrite:
             raise InputError(
-                f"The output folder {folder} is not empty (it holds {present[0]}): choose another with --out, "
-                "or pass --overwrite to replace an earlier run."
+                f"The output folder {folder} is not empty (it holds {present[0]}): choose another with "
+                "--out, or pass --overwrite to replace an earlier run."
             )
         for name in OUTPUT_FILES:
             (folder / name).unlink(missing_ok=True)

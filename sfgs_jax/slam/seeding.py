@@ -46,13 +46,14 @@ def _candidates(
         indexing="ij",
     )
     pixel = (rows * camera.width + columns).reshape(-1)
+    z = depth.reshape(-1)[pixel]
+    usable = (z > 0) & (z < config.max_depth)
+    points = camera.unproject(camera.pixels().reshape(-1, 2)[pixel], jnp.where(usable, z, 1))
     shape = surface(depth, camera)
-    points = shape.points.reshape(-1, 3)[pixel]
-    normals = shape.normals.reshape(-1, 3)[pixel]
-    z = points[:, 2]
-    usable = shape.valid.reshape(-1)[pixel] & (z > 0) & (z < config.max_depth)
-    normals = jnp.where(usable[:, None], normals, jnp.asarray([0.0, 0.0, -1.0], depth.dtype))
-    points = jnp.where(usable[:, None], points, jnp.asarray([0.0, 0.0, 1.0], depth.dtype))
+    # At depth edges there is no plane to fit; a disc that faces the camera covers its pixels.
+    facing = -points / jnp.linalg.norm(points, axis=-1, keepdims=True)
+    fitted = shape.valid.reshape(-1)[pixel]
+    normals = jnp.where(fitted[:, None], shape.normals.reshape(-1, 3)[pixel], facing)
 
     # Spacing of the seeds on the surface: wider down a slope by the cosine of its slant.
     spacing = stride * points[:, 2] / camera.fx

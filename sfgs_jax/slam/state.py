@@ -7,7 +7,7 @@ import jaxlie
 from jaxtyping import Array, Float, UInt8
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.gicp import DepthPyramid
+from sfgs_jax.gicp import OrganisedCloud
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.gaussian_map import GaussianMap, empty_map
 
@@ -36,7 +36,7 @@ class Reference(eqx.Module):
         T_world_cam: its pose.
     """
 
-    cloud: DepthPyramid
+    cloud: OrganisedCloud
     T_world_cam: jaxlie.SE3
 
 

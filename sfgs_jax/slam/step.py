@@ -71,8 +71,8 @@ def step(state: SlamState, frame: Frame, *, stages: Stages = _untimed) -> tuple[
     """
     if frame.depth.shape != state.camera.shape or frame.rgb.shape != (*state.camera.shape, 3):
         raise ValueError(
-            f"The frame has colour {frame.rgb.shape} and depth {frame.depth.shape}, the camera is for images of "
-            f"{state.camera.shape}: pass frames of one size, and init() a state for each size."
+            f"The frame has colour {frame.rgb.shape} and depth {frame.depth.shape}, the camera is for images "
+            f"of {state.camera.shape}: pass frames of one size, and init() a state for each size."
         )
     depth, _ = clean_depth(jnp.asarray(frame.depth))
     with stages("tracking"):

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
@@ -25,13 +26,16 @@ class Tracking(NamedTuple):
         rmse: root mean square residual of the matched points, metres.
     """
 
-    cloud: gicp.DepthPyramid
+    cloud: gicp.OrganisedCloud
     T_world_cam: jaxlie.SE3
     T_previous_current: jaxlie.SE3
     tracked: bool
     new_reference: bool
     inlier_fraction: float
     rmse: float
+
+
+_prepare = jax.jit(gicp.prepare, static_argnames="config")
 
 
 def track(state: SlamState, depth: Float[Array, "H W"]) -> Tracking:
@@ -42,7 +46,7 @@ def track(state: SlamState, depth: Float[Array, "H W"]) -> Tracking:
         depth: (H, W) metres, 0 where missing.
     """
     config = state.config.tracking
-    cloud = gicp.prepare(depth, state.camera, config=config.gicp)
+    cloud = _prepare(depth, state.camera, config=config.gicp)
     if state.reference is None:
         return Tracking(cloud, state.T_world_cam, se3.identity(), True, True, 1.0, 0.0)
 
@@ -76,13 +80,13 @@ def track(state: SlamState, depth: Float[Array, "H W"]) -> Tracking:
 
 
 def _align(
-    cloud: gicp.DepthPyramid,
+    cloud: gicp.OrganisedCloud,
     reference: Reference,
     T_reference_last: jaxlie.SE3,
     T_last_current: jaxlie.SE3,
     config: TrackingConfig,
 ) -> tuple[gicp.RegistrationResult, bool]:
-    """Register from the motion model, and only where that fails from no motion and from the reference's pose."""
+    """Register from the motion model; where that fails, from no motion, then from the reference's pose."""
     starts = (
         lambda: se3.compose(T_reference_last, T_last_current),
         lambda: T_reference_last,

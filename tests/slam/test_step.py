@@ -1,0 +1,147 @@
+"""One step of the system: poses, keyframes, lost frames, compilations."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax import Frame, slam
+from sfgs_jax.geometry import se3
+
+
+@pytest.fixture
+def compilations():
+    """A list that grows by one with every program that XLA compiles."""
+    names: list[str] = []
+
+    def listen(event: str, duration: float, **_: object) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            names.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def follow(room, frames, config):
+    state = slam.init(room.camera, config)
+    infos = []
+    for frame in frames:
+        state, info = slam.step(state, frame)
+        infos.append(info)
+    return state, infos
+
+
+def test_tracks_the_room_from_the_first_camera(room, frames, config):
+    state, infos = follow(room, frames, config)
+    assert all(info.tracked for info in infos)
+    np.testing.assert_allclose(se3.matrix(infos[0].T_world_cam), np.eye(4))
+    truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses
+    for info, expected in zip(infos, truth, strict=True):
+        np.testing.assert_allclose(se3.matrix(info.T_world_cam)[:3, 3], expected[:3, 3], atol=0.03)
+    assert infos[0].new_keyframe
+    assert infos[0].new_reference
+    assert state.num_frames == len(frames)
+    assert [keyframe.index for keyframe in state.keyframes] == [
+        i for i, info in enumerate(infos) if info.new_keyframe
+    ]
+
+
+def test_a_step_leaves_the_state_it_was_given(room, frames, config):
+    state, _ = slam.step(slam.init(room.camera, config), frames[0])
+    before = [np.asarray(leaf).copy() for leaf in jax.tree.leaves(state)]
+    slam.step(state, frames[1])
+    for old, leaf in zip(before, jax.tree.leaves(state), strict=True):
+        np.testing.assert_array_equal(old, leaf)
+
+
+def test_steps_are_deterministic(room, frames, config):
+    first, _ = follow(room, frames[:4], config)
+    second, _ = follow(room, frames[:4], config)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_nothing_compiles_once_every_kind_of_step_was_taken(room, frames, config, compilations):
+    often = replace(config, mapping=replace(config.mapping, keyframe_interval=2, prune_interval=4))
+    state, _ = follow(room, frames[:5], often)
+    assert compilations
+    compilations.clear()
+    for frame in frames[5:]:
+        state, _ = slam.step(state, frame)
+    assert not compilations
+    assert len(state.keyframes) > 3
+
+
+def test_mapping_keyframes_come_at_least_at_the_interval(room, frames, config):
+    regular = replace(config, mapping=replace(config.mapping, keyframe_interval=3))
+    state, _ = follow(room, frames, regular)
+    indices = [keyframe.index for keyframe in state.keyframes]
+    assert max(np.diff([*indices, len(frames)])) <= 3
+
+
+def test_old_keyframes_make_room(room, frames, config):
+    few = replace(config, mapping=replace(config.mapping, keyframe_interval=2, keyframe_capacity=2))
+    state, infos = follow(room, frames, few)
+    assert len(state.keyframes) == 2
+    assert state.keyframes[-1].index == max(i for i, info in enumerate(infos) if info.new_keyframe)
+
+
+def test_a_frame_of_something_else_is_lost_and_the_next_is_found_again(room, frames, config, rng):
+    state, _ = follow(room, frames[:3], config)
+    noise = rng.uniform(0.5, 5.0, frames[0].depth.shape).astype(np.float32)
+    lost_state, info = slam.step(state, Frame(frames[3].rgb, noise, frames[3].timestamp))
+    assert not info.tracked
+    assert not info.new_keyframe
+    np.testing.assert_array_equal(info.T_world_cam.wxyz_xyz, state.T_world_cam.wxyz_xyz)
+    np.testing.assert_array_equal(lost_state.map.gaussians.means, state.map.gaussians.means)
+    _, info = slam.step(lost_state, frames[4])
+    assert info.tracked
+    truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses[4]
+    np.testing.assert_allclose(se3.matrix(info.T_world_cam)[:3, 3], truth[:3, 3], atol=0.03)
+
+
+def test_missing_depth_in_any_disguise_is_missing(room, frames, config):
+    depth = frames[1].depth.copy()
+    zeros, disguised = depth.copy(), depth.copy()
+    zeros[10:20, 10:40] = 0
+    disguised[10:15, 10:40] = np.nan
+    disguised[15:20, 10:25] = np.inf
+    disguised[15:20, 25:40] = -1
+    state, _ = slam.step(slam.init(room.camera, config), frames[0])
+    a, _ = slam.step(state, Frame(frames[1].rgb, zeros, 0.0))
+    b, _ = slam.step(state, Frame(frames[1].rgb, disguised, 0.0))
+    np.testing.assert_array_equal(a.T_world_cam.wxyz_xyz, b.T_world_cam.wxyz_xyz)
+
+
+def test_a_frame_of_another_size_is_refused(room, frames, config):
+    state = slam.init(room.camera, config)
+    with pytest.raises(ValueError, match="one size"):
+        slam.step(state, Frame(frames[0].rgb[:50], frames[0].depth[:50], 0.0))
+
+
+def test_the_map_grows_when_it_is_full(room, frames, config):
+    tight = replace(config, mapping=replace(config.mapping, capacity=256))
+    state, info = slam.step(slam.init(room.camera, tight), frames[0])
+    roomy, _ = slam.step(slam.init(room.camera, config), frames[0])
+    assert info.dropped_seeds == 0
+    assert state.map.gaussians.valid.shape[0] > 256
+    assert jnp.sum(state.map.gaussians.valid) == jnp.sum(roomy.map.gaussians.valid)
+
+
+def test_a_map_at_its_limit_reports_what_did_not_fit(room, frames, config):
+    tight = replace(config, mapping=replace(config.mapping, capacity=256, max_capacity=512))
+    state, info = slam.step(slam.init(room.camera, tight), frames[0])
+    roomy, _ = slam.step(slam.init(room.camera, config), frames[0])
+    assert jnp.sum(state.map.gaussians.valid) == 512
+    assert info.dropped_seeds == int(jnp.sum(roomy.map.gaussians.valid)) - 512
+
+
+def test_too_few_pairs_are_made_room_for(room, frames, config):
+    tight = replace(config, mapping=replace(config.mapping, pair_capacity=128))
+    state, _ = slam.step(slam.init(room.camera, tight), frames[0])
+    assert state.pair_capacity > 128
+    roomy, _ = slam.step(slam.init(room.camera, config), frames[0])
+    np.testing.assert_allclose(state.map.gaussians.means, roomy.map.gaussians.means, atol=1e-5)
