@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.datasets import Recording, prefetch
+from sfgs_jax.datasets.selection import Selection
 from sfgs_jax.evaluation.image_metrics import (
     PROTOCOLS,
     Protocol,
     frames_of,
     masked_images,
     psnr_by_protocol,
-    spaced,
     ssim_by_protocol,
 )
 from sfgs_jax.evaluation.map_renderer import MapRenderer
@@ -51,7 +51,6 @@ def evaluate_images(
     *,
     lpips_weights: LpipsWeights | None,
     every: int = 1,
-    ssim_every: int = 5,
     max_lpips_frames: int = 40,
     progress: Callable[..., object] | None = None,
 ) -> ImageFigures:
@@ -62,21 +61,20 @@ def evaluate_images(
         recording: where the images come from.
         posed: the frames to compare, with their poses.
         lpips_weights: LPIPS is left out where None.
-        every: take the first and every so manieth frame; see `spaced`.
-        ssim_every: the same for SSIM, of the frames that `every` takes.
+        every: take the last of every so many frames.
         max_lpips_frames: LPIPS takes at most so many, evenly spaced.
         progress: called as `progress(done)` with the number of frames of the recording gone through.
     """
-    chosen = np.zeros(len(recording), bool)
-    chosen[posed.indices] = spaced(len(recording), every)[posed.indices]
-    structural = spaced(len(recording), ssim_every)
-    members = {name: chosen & frames_of(name, len(recording), posed.keyframes) for name in PROTOCOLS}
+    chosen = range(every - 1, len(recording), every)
+    evaluated = np.isin(np.arange(len(recording)), chosen) & np.isin(np.arange(len(recording)), posed.indices)
+    members = {name: evaluated & frames_of(name, len(recording), posed.keyframes) for name in PROTOCOLS}
     perceptual = _evenly(members[LPIPS_PROTOCOL], max_lpips_frames)
     poses = dict(zip(posed.indices.tolist(), posed.poses, strict=True))
     render = MapRenderer(gaussians, recording.camera)
     figures = ImageFigures()
-    for index, frame in prefetch(recording):
-        if not chosen[index]:
+    for place, frame in prefetch(Selection(recording, chosen, max_depth=None)):
+        index = chosen[place]
+        if not evaluated[index]:
             pass
         elif isinstance(frame, FrameError):
             figures.unreadable += 1
@@ -84,8 +82,7 @@ def evaluate_images(
             image = render(poses[index]).rgb
             own: list[Protocol] = [name for name in PROTOCOLS if members[name][index]]
             _append(figures.psnr, own, _psnr_by_protocol(image, frame.rgb, frame.depth))
-            if structural[index]:
-                _append(figures.ssim, own, _ssim_by_protocol(image, frame.rgb, frame.depth))
+            _append(figures.ssim, own, _ssim_by_protocol(image, frame.rgb, frame.depth))
             if lpips_weights is not None and perceptual[index]:
                 distance = _masked_lpips(lpips_weights, image, frame.rgb, frame.depth)
                 figures.lpips.append(float(distance))

@@ -27,7 +27,8 @@ Protocol = Literal["all", "gs_icp", "splatam", "held_out"]
 
 PROTOCOLS: tuple[Protocol, ...] = get_args(Protocol)
 
-_SPLATAM_EVERY = 5
+SPLATAM_EVERY = 5
+"""SplaTAM scores the first frame and then the last of every five."""
 
 # Equal images would have an infinite PSNR, which no mean and no JSON file can hold.
 _SMALLEST_MSE = 1e-10
@@ -81,12 +82,6 @@ def ssim_by_protocol(
     return {"all": whole, "gs_icp": masked, "splatam": masked, "held_out": whole}
 
 
-def spaced(num_frames: int, every: int) -> Bool[np.ndarray, " num_frames"]:
-    """The first frame and then the last of every `every`, which is how SplaTAM counts."""
-    index = np.arange(num_frames)
-    return (index == 0) | ((index + 1) % every == 0)
-
-
 def frames_of(
     protocol: Protocol, num_frames: int, keyframes: Int[np.ndarray, " k"]
 ) -> Bool[np.ndarray, " num_frames"]:
@@ -101,7 +96,8 @@ def frames_of(
         case "all" | "gs_icp":
             return np.ones(num_frames, bool)
         case "splatam":
-            return spaced(num_frames, _SPLATAM_EVERY)
+            index = np.arange(num_frames)
+            return (index == 0) | ((index + 1) % SPLATAM_EVERY == 0)
         case "held_out":
             return ~np.isin(np.arange(num_frames), keyframes)
         case _:

@@ -207,11 +207,8 @@ def _image_table(metrics: dict[str, Any]) -> str:
         rows.append((note, *cells, str(_get(metrics, "evaluated", "frames", name) or "–")))
     every = _get(metrics, "evaluated", "every") or 1
     notes = []
-    ssim_every = _get(metrics, "evaluated", "ssim_every") or 1
     if every > 1:
         notes.append(f"Image metrics were computed on one frame in {every}.")
-    if ssim_every > 1:
-        notes.append(f"SSIM was computed on one frame in {ssim_every}.")
     if lpips_frames := _get(metrics, "evaluated", "lpips_frames"):
         notes.append(f"LPIPS (SqueezeNet) was computed on {lpips_frames} frames.")
     table = _table(("protocol", "PSNR (dB)", "SSIM", "LPIPS", "frames"), rows, numbers=True)

@@ -1,6 +1,7 @@
 """Every metric of a finished run, from the files in its folder."""
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,14 @@ import numpy as np
 
 from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation.image_evaluation import LPIPS_PROTOCOL, ImageFigures, evaluate_images
-from sfgs_jax.evaluation.image_metrics import PROTOCOLS
+from sfgs_jax.evaluation.image_metrics import PROTOCOLS, SPLATAM_EVERY
 from sfgs_jax.evaluation.perceptual import LpipsWeights, load_lpips
 from sfgs_jax.evaluation.run_folder import posed_frames, read_json
 from sfgs_jax.evaluation.trajectory_metrics import ate, rpe
 from sfgs_jax.geometry import InputError, read_tum, write_atomically
 from sfgs_jax.splatting import load_ply
+
+_PIXELS = 200 * 640 * 480
 
 _OWN_KEYS = ("ate", "rpe", "psnr", "ssim", "lpips_squeeze", "evaluated", "unavailable")
 
@@ -23,8 +26,7 @@ def evaluate_run(
     run_dir: Path,
     recording: Recording,
     *,
-    every: int = 1,
-    ssim_every: int = 5,
+    every: int | None = None,
     max_lpips_frames: int = 40,
     progress: Callable[..., object] | None = None,
 ) -> dict[str, Any]:
@@ -37,9 +39,9 @@ def evaluate_run(
     Args:
         run_dir: folder with `trajectory.txt`, `keyframes.txt`, `map.ply` and `metrics.json`.
         recording: what the run was made on.
-        every: image metrics take the first and every so manieth frame; `evaluated.every` repeats it.
-        ssim_every: SSIM costs more than rendering, so it takes only so many of these frames;
-            `evaluated.ssim_every` repeats it, and 1 takes them all.
+        every: image metrics take the last of every so many frames, and 1 takes them all. Where None, it is 1
+            for short recordings and for longer ones the least multiple of five (SplaTAM's choice of frames)
+            that keeps the work to 200 images of 640 x 480. `evaluated.every` says what it was.
         max_lpips_frames: LPIPS takes at most so many of SplaTAM's frames, evenly spaced;
             `evaluated.lpips_frames` says how many it took.
         progress: called as `progress(done)` with the number of frames of the recording gone through.
@@ -51,8 +53,9 @@ def evaluate_run(
     Raises:
         InputError: a file of the run is missing, damaged, or belongs to another recording.
     """
-    if every < 1 or ssim_every < 1:
-        raise InputError(f"every={every} and ssim_every={ssim_every} choose no frames: both start at 1.")
+    every = _affordable(recording) if every is None else every
+    if every < 1:
+        raise InputError(f"Image metrics take one frame of `every`, at least 1: {every} takes none.")
     path = run_dir / "metrics.json"
     kept = {key: value for key, value in read_json(path).items() if key not in _OWN_KEYS}
     unavailable: dict[str, str] = {}
@@ -66,16 +69,13 @@ def evaluate_run(
         posed,
         lpips_weights=weights,
         every=every,
-        ssim_every=ssim_every,
         max_lpips_frames=max_lpips_frames,
         progress=progress,
     )
     figures |= _image_figures(images, unavailable)
     figures["evaluated"] = {
         "every": every,
-        "ssim_every": ssim_every,
         "frames": {name: len(images.psnr[name]) for name in PROTOCOLS},
-        "ssim_frames": {name: len(images.ssim[name]) for name in PROTOCOLS},
         "lpips_frames": len(images.lpips),
         "without_pose": len(recording) - len(posed.indices),
         "unreadable": images.unreadable,
@@ -83,6 +83,13 @@ def evaluate_run(
     metrics = kept | figures | {"unavailable": unavailable}
     write_atomically(path, json.dumps(metrics, indent=2) + "\n")
     return metrics
+
+
+def _affordable(recording: Recording) -> int:
+    """Which share of the frames image metrics can take within a minute or so; see `evaluate_run`."""
+    height, width = recording.camera.shape
+    blocks = math.ceil(len(recording) * height * width / (_PIXELS * SPLATAM_EVERY))
+    return 1 if len(recording) * height * width <= _PIXELS else SPLATAM_EVERY * blocks
 
 
 def _trajectory_figures(run_dir: Path, recording: Recording, unavailable: dict[str, str]) -> dict[str, Any]:

@@ -82,7 +82,7 @@ class MapScene:
     def _add_trajectory(self, keyframes: Trajectory) -> None:
         scene, positions = self.server.scene, self._trajectory.positions
         extent = float(np.linalg.norm(np.ptp(positions, axis=0)))
-        size = float(np.clip(0.03 * extent, 0.02, 0.2))
+        size = float(np.clip(0.02 * extent, 0.01, 0.15))
         if len(positions) > 1:
             segments = np.stack([positions[:-1], positions[1:]], axis=1)
             self.path = scene.add_line_segments(
@@ -99,7 +99,7 @@ class MapScene:
                 fov=_FIELD_OF_VIEW,
                 aspect=_ASPECT,
                 scale=size,
-                thickness=1.5,
+                thickness=1.0,
                 thickness_units="screen",
                 color=_KEYFRAME_COLOUR,
                 wxyz=wxyz[i],

@@ -30,7 +30,6 @@ def test_a_run_that_is_its_own_recording_is_exact(run):
     assert min(metrics["psnr"].values()) > 80
     assert min(metrics["ssim"].values()) > 0.9999
     assert metrics["evaluated"]["frames"] == {"all": 11, "gs_icp": 11, "splatam": 3, "held_out": 8}
-    assert metrics["evaluated"]["ssim_frames"] == {"all": 3, "gs_icp": 3, "splatam": 3, "held_out": 2}
     assert "Cannot read the LPIPS weights" in metrics["unavailable"]["lpips_squeeze"]
 
 
@@ -87,13 +86,22 @@ def test_lost_and_unreadable_frames_are_left_out_and_counted(run):
 
 def test_a_subset_is_stated(run):
     folder, recording = run
-    metrics = evaluate_run(folder, recording, every=4, ssim_every=2)
-    figures = metrics["evaluated"]
-    assert (figures["every"], figures["ssim_every"]) == (4, 2)
-    assert figures["frames"] == {"all": 3, "gs_icp": 3, "splatam": 1, "held_out": 2}  # 0, 3 and 7
-    assert figures["ssim_frames"] == figures["frames"]
-    with pytest.raises(InputError, match="both start at 1"):
+    metrics = evaluate_run(folder, recording, every=3)
+    assert metrics["evaluated"]["every"] == 3
+    # Frames 2, 5 and 8, of which 5 is a keyframe and none is SplaTAM's.
+    assert metrics["evaluated"]["frames"] == {"all": 3, "gs_icp": 3, "splatam": 0, "held_out": 2}
+    assert "psnr.splatam" in metrics["unavailable"]
+    with pytest.raises(InputError, match="at least 1"):
         evaluate_run(folder, recording, every=0)
+
+
+def test_long_recordings_are_sampled_as_splatam_does(run, monkeypatch):
+    folder, recording = run
+    assert evaluate_run(folder, recording)["evaluated"]["every"] == 1
+    monkeypatch.setattr("sfgs_jax.evaluation.run._PIXELS", 3 * 64 * 48)
+    metrics = evaluate_run(folder, recording)
+    assert metrics["evaluated"]["every"] == 5
+    assert metrics["evaluated"]["frames"] == {"all": 2, "gs_icp": 2, "splatam": 2, "held_out": 2}  # 4 and 9
 
 
 def test_protocols_without_frames_are_unavailable(run):
