@@ -6,3 +6,4 @@ from sfgs_jax.datasets.options import ReaderOptions as ReaderOptions
 from sfgs_jax.datasets.prefetch import prefetch as prefetch
 from sfgs_jax.datasets.recording import Recording as Recording
 from sfgs_jax.datasets.synthetic import SyntheticRoom as SyntheticRoom
+from sfgs_jax.datasets.writers import write_recording as write_recording

@@ -45,9 +45,7 @@ def decode_depth(path: Path, units_per_metre: float | None) -> Float[np.ndarray,
     if image.ndim != 2:
         raise FrameError(f"{path} has shape {image.shape}; a depth image has one channel.")
     if image.dtype == np.uint8:
-        raise FrameError(
-            f"{path} is an 8-bit image; save depth as 16-bit PNG, or as floating point in metres."
-        )
+        raise FrameError(f"{path} has 8 bits; save depth as 16-bit PNG, or as floating point in metres.")
     if np.issubdtype(image.dtype, np.integer):
         scale = np.float32(1 / (units_per_metre or 1000.0))
         depth = np.multiply(image, scale, dtype=np.float32, casting="unsafe")

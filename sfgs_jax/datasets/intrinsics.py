@@ -47,7 +47,7 @@ class Intrinsics:
         """
         if (self.width or width, self.height or height) != (width, height):
             raise InputError(
-                f"The intrinsics of {source} are for {self.width}x{self.height} images, "
+                f"The intrinsics of {source} are for {self.width or '?'}x{self.height or '?'} images, "
                 f"but the images are {width}x{height}; scale the intrinsics or the images."
             )
         if not (0 < self.cx < width and 0 < self.cy < height):

@@ -82,7 +82,7 @@ def read_tum_poses(path: Path) -> tuple[Trajectory, int]:
 def _without_broken(poses: np.ndarray) -> np.ndarray:
     """Poses with everything that isn't a finite rigid motion set to NaN, and rotations made orthonormal."""
     poses = np.asarray(poses, np.float64)
-    finite = np.isfinite(poses).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     u, s, vt = np.linalg.svd(np.where(finite[:, None, None], poses, np.eye(4))[:, :3, :3])
     # Files keep few digits, so a rotation is off by some 1e-3 at worst; further off, or mirrored, it is none.
     rigid = finite & np.all(np.abs(s - 1) < 0.02, axis=1) & (np.linalg.det(u @ vt) > 0)

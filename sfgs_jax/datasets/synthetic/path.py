@@ -14,7 +14,7 @@ def closed_path(num_frames: int) -> np.ndarray:
     """(N, 4, 4) `T_world_cam`, smooth, the last equal to the first.
 
     The camera walks a circle around the room's middle and looks across it, nodding and swaying a little.
-    With at least about a hundred frames it goes round once or more; shorter recordings swing aside and come
+    With at least 115 frames it goes round once or more; shorter recordings swing aside and come
     back, so that the pace stays that of a hand-held camera: 2 to 3 cm and 2 to 3 degrees a frame.
 
     Args:
@@ -22,19 +22,19 @@ def closed_path(num_frames: int) -> np.ndarray:
     """
     phase = np.linspace(0, 2 * np.pi, num_frames) if num_frames > 1 else np.zeros(1)
     turn = _TURN_PER_FRAME * (num_frames - 1)
-    rounds = round(turn / (2 * np.pi))
-    # A swing out and back goes the same way twice, pi/2 faster at most than on average.
-    angle = rounds * phase if rounds else turn / 4 * (1 - np.cos(phase)) / 1.2
-    strength = max(1.0, rounds) if rounds else turn / (2 * np.pi)
+    rounds = int(turn / (2 * np.pi) + 0.15)
+    # A swing is fastest half way, where it should not be faster than a hand, so it goes less far.
+    angle = rounds * phase if rounds else turn / 4.8 * (1 - np.cos(phase))
+    strength = min(1.0, turn / (2 * np.pi))
     swing = _SWINGS * max(rounds, 1) * phase
-    radius = _RADIUS * (1 + 0.15 * np.sin(2 * phase))
+    radius = _RADIUS * (1 + 0.15 * strength * np.sin(2 * phase))
     position = np.stack(
-        [radius * np.cos(angle), radius * np.sin(angle), _HEIGHT + 0.1 * min(strength, 1) * np.sin(swing)],
+        [radius * np.cos(angle), radius * np.sin(angle), _HEIGHT + 0.1 * strength * np.sin(swing)],
         axis=1,
     )
-    yaw = angle + np.pi + np.deg2rad(8) * min(strength, 1) * np.sin(phase)
-    pitch = np.deg2rad(-14) + np.deg2rad(7) * min(strength, 1) * np.sin(swing + 0.7)
-    roll = np.deg2rad(3) * min(strength, 1) * np.sin(2 * phase)
+    yaw = angle + np.pi + np.deg2rad(8) * strength * np.sin(phase)
+    pitch = np.deg2rad(-14) + np.deg2rad(7) * strength * np.sin(swing + 0.7)
+    roll = np.deg2rad(3) * strength * np.sin(2 * phase)
     poses = np.tile(np.eye(4), (num_frames, 1, 1))
     poses[:, :3, :3] = _rotations(yaw, pitch, roll)
     poses[:, :3, 3] = position

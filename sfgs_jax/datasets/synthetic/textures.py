@@ -1,8 +1,8 @@
 """Solid textures: colour as a smooth function of position, so that every surface has detail without images.
 
 A texture is a sum of plane waves in four octaves, which a soft threshold turns into blobs between two
-colours, and an optional grid of cells (tiles, boards, book spines), each with a tint of its own. Plane waves are
-band-limited, so detail below the pixel scale can be faded out exactly instead of turning into noise.
+colours, and an optional grid of cells (tiles, boards, book spines), each with a tint of its own. Plane waves
+are band-limited, so detail below the pixel scale can be faded out exactly instead of turning into noise.
 """
 
 import equinox as eqx

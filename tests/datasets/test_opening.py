@@ -1,0 +1,112 @@
+"""Recognising layouts, and what can't be opened."""
+
+import numpy as np
+import pytest
+
+from sfgs_jax.datasets import (
+    LAYOUTS,
+    ReaderOptions,
+    Recording,
+    SyntheticRoom,
+    open_recording,
+    write_recording,
+)
+from sfgs_jax.geometry import FrameError, InputError
+
+SOURCE = "synthetic:frames=5,width=80,height=60"
+
+
+def test_missing_path_file_and_unknown_layout(tmp_path):
+    with pytest.raises(InputError, match=r"There is no .*nowhere"):
+        open_recording(tmp_path / "nowhere")
+    (tmp_path / "video.mp4").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        open_recording(tmp_path / "video.mp4")
+    with pytest.raises(InputError, match=r"layout of .* is unknown") as caught:
+        open_recording(tmp_path)
+    for layout in LAYOUTS:
+        assert layout == "synthetic" or f"({layout})" in str(caught.value)
+
+
+def test_forced_layout(room, tmp_path):
+    write_recording(room, tmp_path / "a", layout="tum")
+    assert open_recording(tmp_path / "a").dataset == "tum"
+    assert open_recording(tmp_path / "a", dataset="folder").dataset == "folder"
+    with pytest.raises(InputError, match="no replica recording: it has no results/"):
+        open_recording(tmp_path / "a", dataset="replica")
+    with pytest.raises(InputError, match="no layout 'kitti'; choose from tum"):
+        open_recording(tmp_path / "a", dataset="kitti")
+
+
+def test_folder_of_recordings_names_them(room, tmp_path):
+    write_recording(room, tmp_path / "first", layout="tum")
+    with pytest.raises(InputError, match="recordings inside it: first"):
+        open_recording(tmp_path)
+
+
+def test_synthetic_source():
+    recording = open_recording(SOURCE + ",seed=3,noise=1")
+    assert isinstance(recording, Recording)
+    assert (recording.dataset, len(recording), recording.camera.shape) == ("synthetic", 5, (60, 80))
+    assert len(open_recording("synthetic")) == 120
+    for source in ("synthetic:frame=5", "synthetic:frames", "synthetic:frames=a", "synthetic:frames=0"):
+        with pytest.raises(InputError, match="synthetic"):
+            open_recording(source)
+
+
+def test_selection_of_frames(room):
+    recording = open_recording(SOURCE, options=ReaderOptions(start=1, end=5, stride=2))
+    assert len(recording) == 2
+    np.testing.assert_allclose(recording.timestamps, room.timestamps[[1, 3]])
+    np.testing.assert_allclose(recording.ground_truth.poses, room.ground_truth.poses[[1, 3]])
+    frame = recording[1]
+    assert frame.timestamp == room.timestamps[3]
+    np.testing.assert_allclose(frame.depth, room[3].depth)
+    with pytest.raises(IndexError):
+        recording[2]
+
+
+def test_depth_limit(room):
+    limit = float(np.median(room[0].depth))
+    depth = np.asarray(open_recording(SOURCE, options=ReaderOptions(max_depth=limit))[0].depth)
+    whole = np.asarray(room[0].depth)
+    np.testing.assert_array_equal(depth, np.where(whole <= limit, whole, 0))
+
+
+def test_frame_without_valid_depth(room, tmp_path, write_image):
+    with pytest.raises(FrameError, match=r"no valid depth within 0\.1 m"):
+        open_recording(SOURCE, options=ReaderOptions(max_depth=0.1))[0]
+    write_recording(room, tmp_path / "a", layout="folder")
+    path = sorted((tmp_path / "a" / "depth").iterdir())[2]
+    write_image(path, np.zeros((60, 80), np.uint16))
+    recording = open_recording(tmp_path / "a")
+    recording[1]
+    with pytest.raises(FrameError, match="Frame 2 of a has no valid depth"):
+        recording[2]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (ReaderOptions(stride=0), "stride"),
+        (ReaderOptions(max_depth=0.0), "largest depth"),
+        (ReaderOptions(start=5), "it has 5"),
+        (ReaderOptions(start=3, end=2), "from 3 to 2"),
+    ],
+)
+def test_selection_that_leaves_nothing(options, message):
+    with pytest.raises(InputError, match=message):
+        open_recording(SOURCE, options=options)
+
+
+def test_camera_file_that_is_not_there(room, tmp_path):
+    write_recording(room, tmp_path / "a", layout="tum")
+    with pytest.raises(InputError, match=r"Cannot read .*none\.json"):
+        open_recording(tmp_path / "a", options=ReaderOptions(camera=tmp_path / "none.json"))
+
+
+def test_rooms_of_impossible_size():
+    with pytest.raises(InputError, match="at least 1 frame"):
+        SyntheticRoom(num_frames=0)
+    with pytest.raises(InputError, match="16x16"):
+        SyntheticRoom(width=8)
