@@ -71,9 +71,8 @@ def load_ply(path: Path | str) -> Gaussians:
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            elements = PlyData.read(file, mmap=False)
-            names = {element.name for element in elements}
+        elements = PlyData.read(io.BytesIO(path.read_bytes()))
+        names = {element.name for element in elements}
     except (OSError, PlyParseError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"Cannot read {path} as a PLY file: {error}.") from error
     if "vertex" not in names:

@@ -47,5 +47,5 @@ def rasterize(
     )
     columns = [projected.centres, projected.whitening, projected.log_opacities[:, None]]
     table = jnp.concatenate([*columns, features, jnp.ones_like(features[:, :1])], axis=-1)
-    image = composite(table, lists, width, height, config.tile_size)
+    image: Array = composite(table, lists, width, height, config.tile_size)
     return image[..., :-1], image[..., -1], lists.overflow

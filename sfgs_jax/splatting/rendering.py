@@ -1,6 +1,9 @@
 """The renderer: Gaussians and a camera to colour, depth and opacity."""
 
+from functools import partial
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float, Int
@@ -53,6 +56,18 @@ def render(
         background: (3,) RGB behind everything; black where None.
         config: settings, static.
     """
+    return _render(gaussians, camera, T_world_cam, background, config)
+
+
+# Compiled here, because operation by operation it would take minutes; inside a caller's jit this is inlined.
+@partial(jax.jit, static_argnames="config")
+def _render(
+    gaussians: Gaussians,
+    camera: Camera,
+    T_world_cam: jaxlie.SE3,
+    background: Float[Array, "3"] | None,
+    config: RenderConfig,
+) -> RenderOutput:
     projected, rgb = project(gaussians, camera, T_world_cam, config=config)
     features = jnp.concatenate([rgb, projected.depths[:, None]], axis=-1)
     image, alpha, overflow = rasterize(
