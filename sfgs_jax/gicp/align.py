@@ -11,7 +11,15 @@ from jaxtyping import Array, Bool, Float, Int
 from sfgs_jax.geometry import InputError, se3
 from sfgs_jax.gicp.cloud import OrganisedCloud, OrganisedLevel
 from sfgs_jax.gicp.config import GicpConfig
-from sfgs_jax.gicp.correspondences import Correspondences, Samples, associate, sample
+from sfgs_jax.gicp.correspondences import (
+    Correspondences,
+    Samples,
+    TargetRows,
+    associate,
+    dot,
+    sample,
+    target_rows,
+)
 from sfgs_jax.gicp.normal_equations import normal_equations, point_moments
 from sfgs_jax.gicp.residuals import kernel_weight, weight_matrices
 from sfgs_jax.gicp.result import RegistrationResult
@@ -68,6 +76,7 @@ def _align_level(
     source: Samples, target: OrganisedLevel, T: jaxlie.SE3, level: int, config: GicpConfig
 ) -> _State:
     moments = point_moments(source.points)
+    rows = target_rows(target)
 
     def unfinished(state: _State) -> Bool[Array, ""]:
         _, iteration, settled = state
@@ -75,7 +84,7 @@ def _align_level(
 
     def step(state: _State) -> _State:
         T, iteration, _ = state
-        pairs = _associate(source, target, T, level, config)
+        pairs = _associate(source, rows, T, level, config)
         residuals = source.points - pairs.points
         weights = weight_matrices(
             source.normals, pairs.normals, residual=config.residual, epsilon=config.epsilon
@@ -92,7 +101,7 @@ def _align_level(
 
 
 def _associate(
-    source: Samples, target: OrganisedLevel, T: jaxlie.SE3, level: int, config: GicpConfig
+    source: Samples, target: TargetRows, T: jaxlie.SE3, level: int, config: GicpConfig
 ) -> Correspondences:
     return associate(
         source,
@@ -106,14 +115,13 @@ def _associate(
 def _normal_distance(source: Samples, pairs: Correspondences) -> Float[Array, " N"]:
     """Distance along the mean of the two normals, metres: what the residual is judged by."""
     mean = source.normals + pairs.normals
-    square = jnp.sum(mean**2, axis=-1)
-    along = jnp.sum((source.points - pairs.points) * mean, axis=-1)
-    return along * lax.rsqrt(jnp.where(pairs.found, square, 1))
+    along = dot(source.points - pairs.points, mean)
+    return along * lax.rsqrt(jnp.where(pairs.found, dot(mean, mean), 1))
 
 
 def _deviation(source: Samples, config: GicpConfig) -> Float[Array, " N"]:
     """Standard deviation expected of a distance along the normal, metres."""
-    return config.noise + config.noise_per_square_metre * source.points[:, 2] ** 2
+    return config.noise + config.noise_per_square_metre * source.points[2] ** 2
 
 
 def _confidence(
@@ -149,9 +157,9 @@ def _assess(
     What a projective correspondence misses across the normal is found by no residual (the next pixel is
     always near), so only distances along the normals inform, unless all that is asked for is points.
     """
-    pairs = _associate(source, target, T, 0, config)
+    pairs = _associate(source, target_rows(target), T, 0, config)
     distance = _normal_distance(source, pairs)
-    inlier = pairs.found & (jnp.abs(distance) < config.kernel_width * _deviation(source, config))
+    inlier = pairs.found & (jnp.abs(distance) < config.inlier_width * _deviation(source, config))
     share = inlier.astype(distance.dtype)
     count = jnp.sum(share)
     fraction = count / jnp.maximum(jnp.sum(source.valid.astype(distance.dtype)), 1)
@@ -169,7 +177,7 @@ def _assess(
     information = hessian / (shared * jnp.maximum(excess, 0.01))
 
     geometry, _ = normal_equations(moments, directions * share, residuals)
-    spread = jnp.sqrt(jnp.sum(share[:, None] * source.points**2) / jnp.maximum(count, 1))
+    spread = jnp.sqrt(jnp.sum(share * source.points**2) / jnp.maximum(count, 1))
     unit = jnp.where(jnp.arange(6) < 3, 1, 1 / jnp.maximum(spread, 1e-3))
     values, vectors = jnp.linalg.eigh(geometry * unit[:, None] * unit[None, :] / jnp.maximum(count, 1))
     converged = settled & (count >= config.min_inliers) & (fraction >= config.min_inlier_fraction)

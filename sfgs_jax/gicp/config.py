@@ -17,7 +17,7 @@ class GicpConfig:
     skipped_halvings: int = 1
     """How often the depth image is halved before the finest level: 1 makes a 320x240 level of 640x480."""
 
-    radius: int = 3
+    radius: int = 2
     """Radius of the window of a surface estimate, pixels of its level."""
 
     edge_tolerance: float = 0.02
@@ -32,7 +32,7 @@ class GicpConfig:
     residual: Residual = "gicp"
     """What a correspondence measures."""
 
-    epsilon: float = 1e-3
+    epsilon: float = 1e-2
     """GICP: variance of a point along its normal, as a share of that within its plane."""
 
     max_distance: float = 0.1
@@ -41,10 +41,10 @@ class GicpConfig:
     min_normal_cosine: float = 0.7
     """Correspondences whose normals differ more are dropped."""
 
-    kernel: Kernel = "geman_mcclure"
+    kernel: Kernel = "huber"
     """Robust kernel of the residuals."""
 
-    kernel_width: float = 3.0
+    kernel_width: float = 1.5
     """Width of the kernel in standard deviations, at the finest level; doubled at each coarser one."""
 
     noise: float = 0.002
@@ -58,6 +58,9 @@ class GicpConfig:
 
     tolerance: float = 1e-4
     """A level is done when a step is shorter than this, metres and radians."""
+
+    inlier_width: float = 3.0
+    """An inlier lies within this many standard deviations of the target's surface."""
 
     min_inliers: int = 100
     """Fewer inliers than this at the finest level and the result is not called converged."""

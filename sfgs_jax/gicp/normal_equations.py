@@ -25,14 +25,14 @@ _PAIR_INDEX = np.zeros((4, 4), int)
 _PAIR_INDEX[_PAIRS] = _PAIR_INDEX[_PAIRS[::-1]] = range(10)
 
 
-def point_moments(points: Float[Array, "N 3"]) -> Float[Array, "N 10"]:
+def point_moments(points: Float[Array, "3 N"]) -> Float[Array, "10 N"]:
     """Products of the homogeneous coordinates of each point, fixed through an alignment."""
-    homogeneous = jnp.concatenate([points, jnp.ones_like(points[:, :1])], axis=-1)
-    return homogeneous[:, _PAIRS[0]] * homogeneous[:, _PAIRS[1]]
+    homogeneous = jnp.concatenate([points, jnp.ones_like(points[:1])])
+    return homogeneous[_PAIRS[0]] * homogeneous[_PAIRS[1]]
 
 
 def normal_equations(
-    moments: Float[Array, "N 10"], weights: Float[Array, "6 N"], residuals: Float[Array, "N 3"]
+    moments: Float[Array, "10 N"], weights: Float[Array, "6 N"], residuals: Float[Array, "3 N"]
 ) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
     """Hessian J^T W J and gradient J^T W r of half the sum of r^T W r over points.
 
@@ -44,8 +44,8 @@ def normal_equations(
         weights: symmetric 3 x 3 weights, xx xy xz yy yz zz; 0 leaves a point out.
         residuals: p - q, metres.
     """
-    pulls = [sum(weights[_WEIGHT_INDEX[a, b]] * residuals[:, b] for b in range(3)) for a in range(3)]
-    sums = jnp.concatenate([weights, jnp.stack(pulls)]) @ moments
+    pulls = [sum(weights[_WEIGHT_INDEX[a, b]] * residuals[b] for b in range(3)) for a in range(3)]
+    sums = jnp.concatenate([weights, jnp.stack(pulls)]) @ moments.T
     second = sums[_WEIGHT_INDEX][:, :, _PAIR_INDEX]
     first = sums[6:][:, _PAIR_INDEX[:, 3]]
     jacobian = jnp.asarray(_JACOBIAN, moments.dtype)

@@ -13,48 +13,41 @@ COLUMNS = (0, 1, 2, 1, 2, 2)
 
 
 def weight_matrices(
-    source_normals: Float[Array, "N 3"],
-    target_normals: Float[Array, "N 3"],
+    source_normals: Float[Array, "3 N"],
+    target_normals: Float[Array, "3 N"],
     *,
     residual: Residual,
     epsilon: float,
 ) -> Float[Array, "6 N"]:
-    """Weight of a residual vector p - q in each direction, xx xy xz yy yz zz; 1 along the normal.
+    """Weight of a residual vector p - q in each direction, xx xy xz yy yz zz; about 1 along the normal.
 
     `point_to_point` weighs all directions alike, `point_to_plane` only the target's normal. `gicp` is the
     plane-to-plane weight of Segal, Haehnel and Thrun, Generalized-ICP (RSS 2009), eq. 2 and section III-B:
     the inverse of the sum of both points' covariances, each of variance `epsilon` along its normal and 1
-    within its plane; times 2 epsilon here, so that the unit is the variance along the normal.
+    within its plane; times 2 epsilon here, so that the unit is the variance along the normal. With
+    k = 1 - epsilon and unit normals s and t that sum is 2 I - k (s s^T + t t^T), whose eigenvectors are
+    s + t and s - t, so the inverse needs no matrix inversion.
     """
-    s, t = source_normals.T, target_normals.T
+    s, t = source_normals, target_normals
     entries = tuple(zip(ROWS, COLUMNS, strict=True))
     match residual:
         case "point_to_point":
-            one = jnp.ones_like(s[0])
-            return jnp.stack([one * float(i == j) for i, j in entries])
+            return jnp.stack([jnp.full_like(s[0], float(i == j)) for i, j in entries])
         case "point_to_plane":
             return jnp.stack([t[i] * t[j] for i, j in entries])
         case "gicp":
-            total = [2.0 * (i == j) - (1 - epsilon) * (s[i] * s[j] + t[i] * t[j]) for i, j in entries]
-            return 2 * epsilon * inverse_symmetric(jnp.stack(total))
+            k, cosine = 1 - epsilon, s[0] * t[0] + s[1] * t[1] + s[2] * t[2]
+            along = epsilon * k / (4 - 2 * k * (1 + cosine))
+            across = epsilon * k / (4 - 2 * k * (1 - cosine))
+            mean, difference = s + t, s - t
+            return jnp.stack(
+                [
+                    epsilon * (i == j) + along * mean[i] * mean[j] + across * difference[i] * difference[j]
+                    for i, j in entries
+                ]
+            )
         case _:
             assert_never(residual)
-
-
-def inverse_symmetric(m: Float[Array, "6 N"]) -> Float[Array, "6 N"]:
-    """Inverses of symmetric positive definite 3 x 3 matrices by cofactors."""
-    xx, xy, xz, yy, yz, zz = m
-    cofactors = jnp.stack(
-        [
-            yy * zz - yz * yz,
-            xz * yz - xy * zz,
-            xy * yz - xz * yy,
-            xx * zz - xz * xz,
-            xy * xz - xx * yz,
-            xx * yy - xy * xy,
-        ]
-    )
-    return cofactors / (xx * cofactors[0] + xy * cofactors[1] + xz * cofactors[2])
 
 
 def kernel_weight(square: Float[Array, " N"], kernel: Kernel, width: float) -> Float[Array, " N"]:
