@@ -97,7 +97,7 @@ def seed(
     free = jnp.nonzero(~valid, size=amount, fill_value=capacity)[0]
     slots = jnp.where(wanted, free[jnp.cumsum(wanted) - 1], capacity)
 
-    def put(old: Array, new: Array | float) -> Array:
+    def put(old: Array, new: Array | float | bool) -> Array:
         return old.at[slots].set(new, mode="drop")
 
     gaussians = gaussian_map.gaussians

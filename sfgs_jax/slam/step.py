@@ -1,9 +1,10 @@
 """One step of the system: track a frame, take keyframes, optimise the map."""
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,12 +21,8 @@ from sfgs_jax.slam.tracking import track
 from sfgs_jax.splatting import RenderConfig, RenderOutput, render
 
 
-class Stages(Protocol):
-    """What times the stages of a step."""
-
-    def __call__(self, name: str) -> AbstractContextManager[None]:
-        """A context that lasts as long as the stage `name`."""
-        ...
+Stages = Callable[[str], AbstractContextManager[None]]
+"""Gives, for the name of a stage, a context that lasts as long as the stage and times it."""
 
 
 class StepInfo(NamedTuple):

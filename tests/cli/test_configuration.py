@@ -15,7 +15,7 @@ from sfgs_jax.slam import LearningRates, MappingConfig, SlamConfig
 @pytest.fixture
 def config() -> RunConfig:
     mapping = MappingConfig(seed_stride=7, learning_rates=LearningRates(means=0.125))
-    reader = ReaderOptions(camera=Path("there/camera.json"), end=12, max_depth=3)
+    reader = ReaderOptions(camera=Path("there/camera.json"), end=12, max_depth=3.0)
     return RunConfig("recording", "folder", reader, SlamConfig(mapping=mapping, seed=5))
 
 
