@@ -10,6 +10,7 @@ Source: Zwicker et al., EWA splatting, 2002; Kerbl et al., 3D Gaussian splatting
 """
 
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -58,29 +59,30 @@ def project(
     Differentiable by ordinary means, with zero gradients in lanes that are not visible: unused, outside
     [near, far], too transparent, or off the image.
     """
-    # Relative to the camera before anything else: far from the origin float32 has no digits to spare.
-    offsets = gaussians.means - T_world_cam.wxyz_xyz[4:]
+    # Arrays of one component each, from here to the end: XLA fuses those, and compiles them sooner.
     R_cam_world = se3.rotation_matrix(T_world_cam).T
-    z = offsets @ R_cam_world[2]
+    # Relative to the camera before anything else: far from the origin float32 has no digits to spare.
+    offset = _components(gaussians.means - T_world_cam.wxyz_xyz[4:])
+    z = _dot(R_cam_world[2], offset)
     used = gaussians.valid & (z > config.near) & (z < config.far)
 
     # Lanes not in use are replaced on the way in, so that no NaN arises there, nor in a gradient.
-    offsets = jnp.where(used[:, None], offsets, R_cam_world[2])
-    quaternions = jnp.where(used[:, None], gaussians.quaternions, 1)
-    log_scales = jnp.where(used[:, None], gaussians.log_scales, 0)
+    offset = [jnp.where(used, o, axis) for o, axis in zip(offset, R_cam_world[2], strict=True)]
+    quaternion = [jnp.where(used, q, 1) for q in _components(gaussians.quaternions)]
+    scale = [jnp.exp(jnp.where(used, s, 0)) for s in _components(gaussians.log_scales)]
     logits = jnp.where(used, gaussians.opacity_logits, 0)
     sh = jnp.where(used[:, None, None], gaussians.sh, 0)
 
-    x, y, z = (offsets @ R_cam_world[i] for i in range(3))
-    centres = jnp.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=-1)
-    m1, m2 = _image_axes(x, y, z, quaternions, log_scales, camera, R_cam_world)
+    x, y, z = (_dot(row, offset) for row in R_cam_world)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    m1, m2 = _image_axes(x, y, z, quaternion, scale, camera, R_cam_world)
 
-    raw_determinant = jnp.sum(jnp.cross(m1, m2) ** 2, axis=-1)
-    raw_uu, raw_vv = jnp.sum(m1**2, axis=-1), jnp.sum(m2**2, axis=-1)
+    raw_uu, raw_vv, uv = _dot(m1, m1), _dot(m2, m2), _dot(m1, m2)
+    minors = [m1[i] * m2[j] - m1[j] * m2[i] for i, j in ((0, 1), (1, 2), (2, 0))]
+    raw_determinant = _dot(minors, minors)
     determinant = raw_determinant + LOW_PASS * (raw_uu + raw_vv) + LOW_PASS**2
-    vv, uv = raw_vv + LOW_PASS, jnp.sum(m1 * m2, axis=-1)
+    uu, vv = raw_uu + LOW_PASS, raw_vv + LOW_PASS
     p = jnp.sqrt(vv / determinant)
-    whitening = jnp.stack([p, -p * uv / vv, 1 / jnp.sqrt(vv)], axis=-1)
 
     log_opacities = jax.nn.log_sigmoid(logits)
     if config.antialiased:
@@ -88,28 +90,52 @@ def project(
         log_opacities = log_opacities + 0.5 * jnp.log(kept)
 
     reach = 2 * (log_opacities - math.log(MIN_ALPHA))
-    extent_u = jnp.sqrt(jnp.maximum(reach, 0) * (raw_uu + LOW_PASS))
-    extent_v = jnp.sqrt(jnp.maximum(reach, 0) * vv)
-    visible = (
-        used
-        & (reach >= 0)
-        & (centres[:, 0] + extent_u >= 0)
-        & (centres[:, 0] - extent_u <= camera.width - 1)
-        & (centres[:, 1] + extent_v >= 0)
-        & (centres[:, 1] - extent_v <= camera.height - 1)
+    inside = [
+        (centre + extent >= 0) & (centre - extent <= size - 1)
+        for centre, extent, size in (
+            (u, jnp.sqrt(jnp.maximum(reach, 0) * uu), camera.width),
+            (v, jnp.sqrt(jnp.maximum(reach, 0) * vv), camera.height),
+        )
+    ]
+    projected = Projected(
+        centres=jnp.stack([u, v], axis=-1),
+        whitening=jnp.stack([p, -p * uv / vv, 1 / jnp.sqrt(vv)], axis=-1),
+        log_opacities=log_opacities,
+        depths=z,
+        visible=used & (reach >= 0) & inside[0] & inside[1],
     )
-    return Projected(centres, whitening, log_opacities, z, visible), sh_colours(sh, offsets)
+    return projected, sh_colours(sh, jnp.stack(offset, axis=-1))
+
+
+@jax.custom_vjp
+def _components(vectors: Float[Array, "n d"]) -> list[Array]:
+    """Columns. The gradient is put together column by column, each written where it goes: as a sum of
+    padded columns or a concatenation, XLA would compute every column for every entry of the result."""
+    return [vectors[:, i] for i in range(vectors.shape[1])]
+
+
+def _assemble(vectors: Array, parts: list[Array]) -> tuple[Array]:
+    for i, part in enumerate(parts):
+        vectors = jax.lax.dynamic_update_slice(vectors, part[:, None], (0, i))
+    return (vectors,)
+
+
+_components.defvjp(lambda vectors: (_components(vectors), vectors), _assemble)
+
+
+def _dot(a: Array | Sequence[Array], b: Sequence[Array]) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _image_axes(
     x: Float[Array, " n"],
     y: Float[Array, " n"],
     z: Float[Array, " n"],
-    quaternions: Float[Array, "n 4"],
-    log_scales: Float[Array, "n 3"],
+    quaternion: list[Array],
+    scale: list[Array],
     camera: Camera,
     R_cam_world: Float[Array, "3 3"],
-) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+) -> tuple[list[Array], list[Array]]:
     """Rows of M = J R S: how the image moves, in u and in v, along each axis of the Gaussian by one sigma."""
     # Pixels cover half a unit around their centres, so the image spans [-0.5, size - 0.5].
     margin_u = _VIEW_MARGIN * camera.width / (2 * camera.fx)
@@ -124,25 +150,23 @@ def _image_axes(
         -(camera.cy + 0.5) / camera.fy - margin_v,
         (camera.height - 0.5 - camera.cy) / camera.fy + margin_v,
     )
-    # J R_cam_world, row by row, then the quaternion's columns: no (N, 3, 3) products are needed.
-    j1 = (camera.fx / z)[:, None] * (R_cam_world[0] - slope_u[:, None] * R_cam_world[2])
-    j2 = (camera.fy / z)[:, None] * (R_cam_world[1] - slope_v[:, None] * R_cam_world[2])
-    columns = _rotation_columns(quaternions)
-    scales = jnp.exp(log_scales)
-    m1 = jnp.stack([jnp.sum(j1 * column, axis=-1) for column in columns], axis=-1) * scales
-    m2 = jnp.stack([jnp.sum(j2 * column, axis=-1) for column in columns], axis=-1) * scales
+    right, down, forward = R_cam_world
+    # The rows of J times the rotation to camera axes.
+    j1 = [camera.fx / z * (right[i] - slope_u * forward[i]) for i in range(3)]
+    j2 = [camera.fy / z * (down[i] - slope_v * forward[i]) for i in range(3)]
+    axes = _rotation_columns(quaternion)
+    m1 = [_dot(j1, axis) * s for axis, s in zip(axes, scale, strict=True)]
+    m2 = [_dot(j2, axis) * s for axis, s in zip(axes, scale, strict=True)]
     return m1, m2
 
 
-def _rotation_columns(quaternions: Float[Array, "n 4"]) -> list[Float[Array, "n 3"]]:
+def _rotation_columns(quaternion: list[Array]) -> list[list[Array]]:
     """Columns of the rotation matrices of quaternions wxyz of any positive length."""
-    unit = quaternions / jnp.linalg.norm(quaternions, axis=-1, keepdims=True)
-    w, x, y, z = (unit[:, i] for i in range(4))
+    w, x, y, z = quaternion
+    # The products of a unit quaternion's entries, doubled, are those of any other's times this.
+    two = 2 / (w * w + x * x + y * y + z * z)
     return [
-        jnp.stack(column, axis=-1)
-        for column in (
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        )
+        [1 - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)],
+        [two * (x * y - w * z), 1 - two * (x * x + z * z), two * (y * z + w * x)],
+        [two * (x * z + w * y), two * (y * z - w * x), 1 - two * (x * x + y * y)],
     ]
