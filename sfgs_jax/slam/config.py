@@ -48,7 +48,7 @@ class MappingConfig:
     max_capacity: int = 1_048_576
     """The map never grows beyond this; what did not fit is reported."""
     pair_capacity: int = 262_144
-    """(tile, Gaussian) pairs a rendering has room for at first; it doubles when a view needs more."""
+    """(tile, Gaussian) pairs a rendering has room for at first; it grows when a view needs more."""
     keyframe_interval: int = 8
     """A mapping keyframe is taken this many frames after the last one, if not sooner for tracking."""
     keyframe_capacity: int = 256

@@ -53,7 +53,7 @@ class SlamState(eqx.Module):
         keyframes: mapping keyframes, oldest first.
         num_frames: frames seen.
         num_steps: optimisation steps done.
-        pair_capacity: room for (tile, Gaussian) pairs in a rendering; it doubles when a view needs more.
+        pair_capacity: room for (tile, Gaussian) pairs in a rendering; it grows when a view needs more.
     """
 
     config: SlamConfig = eqx.field(static=True)

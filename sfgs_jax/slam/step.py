@@ -18,7 +18,7 @@ from sfgs_jax.slam.optimisation import optimise, prune
 from sfgs_jax.slam.seeding import seed, uncovered
 from sfgs_jax.slam.state import Keyframe, Reference, SlamState
 from sfgs_jax.slam.tracking import track
-from sfgs_jax.splatting import RenderConfig, RenderOutput, render
+from sfgs_jax.splatting import RenderConfig, RenderOutput, pair_capacity, render
 
 
 Stages = Callable[[str], AbstractContextManager[None]]
@@ -129,7 +129,7 @@ def optimise_once(state: SlamState, *, newest: bool = False) -> tuple[SlamState,
         )
         if not int(overflow):
             break
-        state = replace(state, pair_capacity=2 * state.pair_capacity)
+        state = _with_room_for_pairs(state, chosen.T_world_cam)
     num_steps = state.num_steps + 1
     if num_steps % config.prune_interval == 0:
         optimised = prune(optimised, config.prune_opacity)
@@ -151,7 +151,7 @@ def _insert_keyframe(state: SlamState, frame: Frame, depth: jax.Array) -> tuple[
         )
         if not int(rendered.overflow):
             break
-        state = replace(state, pair_capacity=2 * state.pair_capacity)
+        state = _with_room_for_pairs(state, state.T_world_cam)
     missing = uncovered(rendered, small_depth, config)
     while True:
         seeded, dropped = seed(state.map, rgb, small_depth, missing, camera, state.T_world_cam, config)
@@ -167,6 +167,12 @@ def _insert_keyframe(state: SlamState, frame: Frame, depth: jax.Array) -> tuple[
     )
     kept = (*state.keyframes, keyframe)[-config.keyframe_capacity :]
     return replace(state, map=seeded, keyframes=kept), int(dropped)
+
+
+def _with_room_for_pairs(state: SlamState, T_world_cam: jaxlie.SE3) -> SlamState:
+    """The state with room for the pairs of a view that did not fit, and half as much again."""
+    need = pair_capacity(state.map.gaussians, state.mapping_camera, T_world_cam, headroom=1.5)
+    return replace(state, pair_capacity=max(need, 2 * state.pair_capacity))
 
 
 @eqx.filter_jit
