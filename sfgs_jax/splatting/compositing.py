@@ -53,12 +53,14 @@ class _Blocks(eqx.Module):
     """Tiles in blocks, longest lists first; the last block is filled up with empty lists.
 
     Attributes:
+        tiles: (blocks * B,) which tile is where; the lists that fill up the last block stand for tile 0.
         places: (T,) where in the blocks each tile is.
         starts: (blocks, B) where the tiles' lists begin.
         counts: (blocks, B) how long they are.
         centres: (blocks, B, 2) centres of the tiles, pixels (u, v).
     """
 
+    tiles: Int[Array, " places"]
     places: Int[Array, " t"]
     starts: Int[Array, "blocks b"]
     counts: Int[Array, "blocks b"]
@@ -78,6 +80,7 @@ def _make_blocks(lists: TileLists, columns: int, tile_size: int, dtype: jnp.dtyp
     index = jnp.arange(tiles, dtype=jnp.int32)
     corners = jnp.stack([index % columns, index // columns], axis=-1) * tile_size
     return _Blocks(
+        tiles=blocked(index).reshape(-1),
         places=jnp.zeros(tiles, jnp.int32).at[order].set(index),
         starts=blocked(lists.starts),
         counts=blocked(lists.counts),
@@ -95,14 +98,12 @@ class _Chunk(eqx.Module):
     """The next K Gaussians of each of B lists.
 
     Attributes:
-        index: (K, B) indices of the Gaussians; N where the list has ended.
-        u, v: (K, B) centres relative to the tiles'.
-        p, q, r: (K, B) whitening.
-        log_opacity: (K, B).
-        features: (K, B, C).
+        u, v: (B, K) centres relative to the tiles'.
+        p, q, r: (B, K) whitening.
+        log_opacity: (B, K).
+        features: (B, K, C).
     """
 
-    index: Array
     u: Array
     v: Array
     p: Array
@@ -112,35 +113,38 @@ class _Chunk(eqx.Module):
     features: Array
 
 
-def _fetch(table: Array, lists: TileLists, blocks: _Blocks, block: Array, step: Array) -> _Chunk:
-    place = step * _CHUNK + jnp.arange(_CHUNK, dtype=jnp.int32)[:, None]
-    live = place < blocks.counts[block]
-    at = jnp.where(live, blocks.starts[block] + place, 0)
-    index = jnp.where(live, lists.gaussians[at], table.shape[0])
+def _indices(lists: TileLists, blocks: _Blocks, block: Array, step: Array, past: int) -> Int[Array, "b k"]:
+    """Indices of a block's Gaussians at a step; `past` where the list has ended.
+
+    Loops carry them from one step to the next: computed where they are used, XLA would look each up
+    again for every column of the table.
+    """
+    place = step * _CHUNK + jnp.arange(_CHUNK, dtype=jnp.int32)
+    live = place < blocks.counts[block][:, None]
+    at = jnp.where(live, blocks.starts[block][:, None] + place, 0)
+    return jnp.where(live, lists.gaussians[at], past)
+
+
+def _fetch(table: Array, index: Array, centres: Float[Array, "b 2"]) -> _Chunk:
     rows = table.at[index].get(mode="clip")
-    centres = blocks.centres[block]
-    chunk = _Chunk(
-        index=index,
-        u=rows[..., 0] - centres[:, 0],
-        v=rows[..., 1] - centres[:, 1],
+    return _Chunk(
+        u=rows[..., 0] - centres[:, :1],
+        v=rows[..., 1] - centres[:, 1:],
         p=rows[..., 2],
         q=rows[..., 3],
         r=rows[..., 4],
-        log_opacity=jnp.where(live, rows[..., 5], _NOTHING),
+        log_opacity=jnp.where(index < table.shape[0], rows[..., 5], _NOTHING),
         features=rows[..., 6:],
     )
-    return jax.lax.optimization_barrier(chunk)
 
 
-def _alphas(chunk: _Chunk, tile_size: int) -> Float[Array, "k b p"]:
+def _alphas(chunk: _Chunk, tile_size: int) -> Float[Array, "b k p"]:
     x, y = _pixel_offsets(tile_size, chunk.u.dtype)
     u0, v0 = -(chunk.p * chunk.u + chunk.q * chunk.v), -chunk.r * chunk.v
     u = u0[..., None] + chunk.p[..., None] * x + chunk.q[..., None] * y
     v = v0[..., None] + chunk.r[..., None] * y
     alphas = jnp.exp(chunk.log_opacity[..., None] - 0.5 * (u * u + v * v))
-    alphas = jnp.where(alphas < MIN_ALPHA, 0, jnp.minimum(alphas, MAX_ALPHA))
-    # Computed once: what follows reads it many times.
-    return jax.lax.optimization_barrier(alphas)
+    return jnp.where(alphas < MIN_ALPHA, 0, jnp.minimum(alphas, MAX_ALPHA))
 
 
 def _to_image(tiled: Array, blocks: _Blocks, width: int, height: int, tile_size: int) -> Array:
@@ -153,21 +157,20 @@ def _to_image(tiled: Array, blocks: _Blocks, width: int, height: int, tile_size:
 
 
 def _to_tiles(image: Array, blocks: _Blocks, tile_size: int) -> Array:
-    """(blocks, C, B, P) of an (H, W, C) image; the transpose of `_to_image`."""
+    """(blocks, C, B, P) of an (H, W, C) image."""
     height, width, channels = image.shape
     columns, rows = tile_grid(width, height, tile_size)
     padded = jnp.pad(image, ((0, rows * tile_size - height), (0, columns * tile_size - width), (0, 0)))
     grid = padded.reshape(rows, tile_size, columns, tile_size, channels).transpose(0, 2, 4, 1, 3)
     tiles = grid.reshape(rows * columns, channels, tile_size**2)
-    count, size = blocks.counts.shape
-    ordered = jnp.zeros((count * size, *tiles.shape[1:]), tiles.dtype).at[blocks.places].set(tiles)
-    return jnp.moveaxis(ordered.reshape(count, size, channels, tile_size**2), 1, 2)
+    ordered = tiles[blocks.tiles].reshape(*blocks.counts.shape, channels, tile_size**2)
+    return jnp.moveaxis(ordered, 1, 2)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3, 4))
 def composite(
     table: Float[Array, "n d"], lists: TileLists, width: int, height: int, tile_size: int
-) -> Float[Array, "{height} {width} d-6"]:
+) -> Float[Array, "{height} {width} d-5"]:
     """Features of the Gaussians weighted by what the camera sees of them.
 
     Args:
@@ -178,7 +181,7 @@ def composite(
         tile_size: pixels; static.
 
     Returns:
-        (H, W, C) sums of weights times features.
+        (H, W, C + 1) sums of weights times features, and last the sums of the weights.
     """
     return _forward(table, lists, width, height, tile_size)[0]
 
@@ -187,96 +190,104 @@ def _forward(table: Array, lists: TileLists, width: int, height: int, tile_size:
     columns, _ = tile_grid(width, height, tile_size)
     blocks = _make_blocks(lists, columns, tile_size, table.dtype)
     count, size = blocks.counts.shape
-    pixels, channels = tile_size**2, table.shape[1] - 6
+    pixels, channels = tile_size**2, table.shape[1] - 5
+    indices = partial(_indices, lists, blocks, past=table.shape[0])
 
     def draw_block(block: Array, tiled: Array) -> Array:
         longest = jnp.max(blocks.counts[block])
 
-        def more(state: tuple[Array, Array, Array]) -> Array:
-            step, transmittance, _ = state
+        def more(state: tuple[Array, Array, Array, Array]) -> Array:
+            step, _, transmittance, _ = state
             return (step * _CHUNK < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
 
-        def draw(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            step, transmittance, out = state
-            chunk = _fetch(table, lists, blocks, block, step)
+        def draw(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+            step, index, transmittance, out = state
+            chunk = _fetch(table, index, blocks.centres[block])
             alphas = _alphas(chunk, tile_size)
-            features = jnp.moveaxis(chunk.features, -1, 1)[..., None]
+            features = jnp.concatenate([chunk.features, jnp.ones_like(chunk.features[..., :1])], axis=-1)
+            features = features.transpose(1, 2, 0)[..., None]
             for i in range(_CHUNK):
-                after = transmittance * (1 - alphas[i])
-                weight = jnp.where(after >= MIN_TRANSMITTANCE, transmittance * alphas[i], 0)
+                after = transmittance * (1 - alphas[:, i])
+                weight = jnp.where(after >= MIN_TRANSMITTANCE, transmittance * alphas[:, i], 0)
                 out = out + features[i] * weight
                 transmittance = after
-            return step + 1, transmittance, out
+            return step + 1, indices(block, step + 1), transmittance, out
 
+        first = jnp.int32(0)
         start = (
-            jnp.int32(0),
+            first,
+            indices(block, first),
             jnp.ones((size, pixels), table.dtype),
             jnp.zeros((channels, size, pixels), table.dtype),
         )
-        _, _, out = jax.lax.while_loop(more, draw, start)
-        return tiled.at[block].set(out)
+        return tiled.at[block].set(jax.lax.while_loop(more, draw, start)[-1])
 
-    tiled = jax.lax.fori_loop(0, count, draw_block, jnp.zeros((count, channels, size, pixels), table.dtype))
-    return _to_image(tiled, blocks, width, height, tile_size), (table, lists, blocks, tiled)
+    empty = jnp.zeros((count, channels, size, pixels), table.dtype)
+    tiled = jax.lax.fori_loop(0, count, draw_block, empty)
+    image = _to_image(tiled, blocks, width, height, tile_size)
+    return image, (table, lists, blocks, image)
 
 
 def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotangent: Array) -> tuple:
-    table, lists, blocks, tiled = residuals
-    cotangents = _to_tiles(cotangent, blocks, tile_size)
+    table, lists, blocks, image = residuals
     count, size = blocks.counts.shape
-    pixels = tile_size**2
+    pixels, channels = tile_size**2, table.shape[1] - 6
+    # <g, out> of every pixel goes along as one more channel.
+    total = jnp.sum(cotangent * image, axis=-1, keepdims=True)
+    cotangents = _to_tiles(jnp.concatenate([cotangent, total], axis=-1), blocks, tile_size)
+    indices = partial(_indices, lists, blocks, past=table.shape[0])
     x, y = _pixel_offsets(tile_size, table.dtype)
     basis = jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-    channels = cotangent.shape[-1]
 
     def walk_block(block: Array, gradients: Array) -> Array:
         longest = jnp.max(blocks.counts[block])
-        g = cotangents[block]
-        total = jnp.sum(g * tiled[block], axis=0)
+        *g, g_alpha, total = cotangents[block]
+        g_features = jnp.stack(g, axis=1)
 
-        def more(state: tuple[Array, Array, Array, Array]) -> Array:
-            step, transmittance, _, _ = state
+        def more(state: tuple[Array, Array, Array, Array, Array]) -> Array:
+            step, _, transmittance, _, _ = state
             return (step * _CHUNK < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
 
-        def walk(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-            step, transmittance, passed, gradients = state
-            chunk = _fetch(table, lists, blocks, block, step)
+        def walk(state: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
+            step, index, transmittance, behind, gradients = state
+            chunk = _fetch(table, index, blocks.centres[block])
             alphas = _alphas(chunk, tile_size)
 
-            before = [transmittance]
-            for alpha in alphas:
-                before.append(before[-1] * (1 - alpha))
-            kept = jnp.stack(before[1:]) >= MIN_TRANSMITTANCE
-            weights = jnp.where(kept, jnp.stack(before[:-1]) * alphas, 0)
-            weights = jax.lax.optimization_barrier(weights)
-            # Unrolled: a sum over an axis would not fuse.
-            toward = sum(
-                (chunk.features[..., c, None] * g[c] for c in range(channels)), start=jnp.zeros_like(alphas)
-            )
-            h = jax.lax.optimization_barrier(weights * toward)
-            behind = [total - passed]
-            for contribution in h:
-                behind.append(behind[-1] - contribution)
+            before, after = [], []
+            for i in range(_CHUNK):
+                before.append(transmittance)
+                transmittance = transmittance * (1 - alphas[:, i])
+                after.append(transmittance)
+            kept = jnp.stack(after, axis=1) >= MIN_TRANSMITTANCE
+            weights = jnp.where(kept, jnp.stack(before, axis=1) * alphas, 0)
+
+            # Channel by channel: a sum over an axis would not fuse.
+            toward = g_alpha[:, None]
+            for c in range(channels):
+                toward = toward + chunk.features[..., c, None] * g[c][:, None]
+            h = weights * toward
+            left = []
+            for i in range(_CHUNK):
+                behind = behind - h[:, i]
+                left.append(behind)
             moves = (weights > 0) & (alphas < MAX_ALPHA)
-            d_exponent = jnp.where(moves, h - alphas / (1 - alphas) * jnp.stack(behind[1:]), 0)
+            d_exponent = jnp.where(moves, h - alphas / (1 - alphas) * jnp.stack(left, axis=1), 0)
 
-            moments = jnp.einsum("kbp,pm->kbm", d_exponent, basis)
-            d_features = jnp.sum(weights[:, :, None] * jnp.moveaxis(g, 0, 1), axis=-1)
-            rows = jnp.concatenate([_from_moments(chunk, moments), d_features], axis=-1)
-            return (
-                step + 1,
-                before[-1],
-                total - behind[-1],
-                gradients.at[chunk.index].add(rows, mode="drop"),
-            )
+            moments = jnp.einsum("bkp,pm->bkm", d_exponent, basis)
+            d_features = jnp.einsum("bkp,bcp->bck", weights, g_features)
+            rows = jnp.concatenate([_from_moments(chunk, moments), d_features.transpose(0, 2, 1)], axis=-1)
+            gradients = gradients.at[index].add(rows, mode="drop")
+            return step + 1, indices(block, step + 1), transmittance, behind, gradients
 
-        start = (jnp.int32(0), jnp.ones((size, pixels), table.dtype), jnp.zeros_like(total), gradients)
+        first = jnp.int32(0)
+        transmittance = jnp.ones((size, pixels), table.dtype)
+        start = (first, indices(block, first), transmittance, total, gradients)
         return jax.lax.while_loop(more, walk, start)[-1]
 
     return jax.lax.fori_loop(0, count, walk_block, jnp.zeros_like(table)), None
 
 
-def _from_moments(chunk: _Chunk, moments: Float[Array, "k b 6"]) -> Float[Array, "k b 6"]:
+def _from_moments(chunk: _Chunk, moments: Float[Array, "b k 6"]) -> Float[Array, "b k 6"]:
     """Gradients of centre, whitening and log opacity from the moments of dL/d(exponent)."""
     s, sx, sy, sxx, sxy, syy = (moments[..., i] for i in range(6))
     p, q, r = chunk.p, chunk.q, chunk.r

@@ -46,6 +46,6 @@ def rasterize(
         far=config.far,
     )
     columns = [projected.centres, projected.whitening, projected.log_opacities[:, None]]
-    table = jnp.concatenate([*columns, features, jnp.ones_like(features[:, :1])], axis=-1)
+    table = jnp.concatenate([*columns, features], axis=-1)
     image: Array = composite(table, lists, width, height, config.tile_size)
     return image[..., :-1], image[..., -1], lists.overflow
