@@ -21,6 +21,8 @@ class EvalArguments:
     """Folder that `sfgs-jax run` wrote."""
     source: str | None = None
     """Where the recording is now, if it has moved since."""
+    every: int | None = None
+    """Score the images of every so manieth frame; if not given, as many as take a minute or so."""
     quiet: bool = False
     """Print nothing but errors."""
 
@@ -31,15 +33,17 @@ def eval_command(arguments: list[str]) -> int:
     config = read_config(options.folder / "config.json")
     recording = open_recording(options.source or config.source, dataset=config.dataset, options=config.reader)
     enable_compilation_cache()
-    evaluate_folder(options.folder, recording, quiet=options.quiet)
+    evaluate_folder(options.folder, recording, every=options.every, quiet=options.quiet)
     if not options.quiet:
         print((options.folder / "metrics.json").read_text(), end="")
     return 0
 
 
-def evaluate_folder(folder: Path, recording: Recording, *, quiet: bool) -> dict[str, Any]:
+def evaluate_folder(
+    folder: Path, recording: Recording, *, every: int | None = None, quiet: bool
+) -> dict[str, Any]:
     """Evaluate the run in `folder` and write its report; the metrics are returned and in `metrics.json`."""
     with reporting("evaluation", len(recording), quiet=quiet) as report:
-        metrics = evaluate_run(folder, recording, progress=report)
+        metrics = evaluate_run(folder, recording, every=every, progress=report)
     write_report(folder, recording)
     return metrics

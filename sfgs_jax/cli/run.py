@@ -188,7 +188,10 @@ def _summary(metrics: dict, folder: Path) -> str:
     if "ate" in metrics:
         lines.append(f"ATE RMSE {100 * metrics['ate']['rmse_m']:.2f} cm")
     if "psnr" in metrics:
-        lines.append(f"PSNR {metrics['psnr']['all']:.2f} dB, SSIM {metrics['ssim']['all']:.3f} (every pixel)")
+        lines.append(
+            f"PSNR {metrics['psnr']['all']:.2f} dB, SSIM {metrics['ssim']['all']:.3f} over "
+            f"{metrics['evaluated']['frames']['all']} frames, every pixel"
+        )
     lines += [f"no {name}: {reason}" for name, reason in metrics.get("unavailable", {}).items()]
     lines += [
         f"report: {folder / 'report.html'}",

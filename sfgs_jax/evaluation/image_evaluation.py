@@ -7,8 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sfgs_jax.datasets import Recording, prefetch
-from sfgs_jax.datasets.selection import Selection
+from sfgs_jax.datasets import Recording, Selection, prefetch
 from sfgs_jax.evaluation.image_metrics import (
     PROTOCOLS,
     Protocol,

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from sfgs_jax.datasets import Recording
-from sfgs_jax.datasets.association import associate
+from sfgs_jax.datasets import Recording, associate
 from sfgs_jax.geometry import InputError, Trajectory, read_tum
 
 # Trajectory files hold time stamps to the microsecond.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.datasets.association import associate
+from sfgs_jax.datasets import associate
 from sfgs_jax.evaluation.alignment import Alignment, align_points
 from sfgs_jax.geometry import InputError, Trajectory
 
