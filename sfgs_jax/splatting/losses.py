@@ -1,5 +1,6 @@
 """Image losses: L1 and SSIM, with masks."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -49,12 +50,82 @@ def ssim(
     """
     # Channels first: the shifted slices of the blur are then contiguous rows.
     x, y = (jnp.moveaxis(jnp.atleast_3d(_masked(image, mask)), -1, 0) for image in (a, b))
-    mean_x, mean_y, mean_xx, mean_yy, mean_xy = _blur(jnp.stack([x, y, x * x, y * y, x * y]))
-    product, squares = mean_x * mean_y, mean_x**2 + mean_y**2
-    similarity = ((2 * product + _C1) * (2 * (mean_xy - product) + _C2)) / (
-        (squares + _C1) * (mean_xx + mean_yy - squares + _C2)
-    )
-    return _mean(jnp.moveaxis(similarity, 0, -1), mask)
+    counts = jnp.ones(x.shape[1:], x.dtype) if mask is None else mask.astype(x.dtype)
+    return _similarity(x, y, counts) / (x.shape[0] * jnp.maximum(jnp.sum(counts), 1))
+
+
+@jax.custom_vjp
+def _similarity(
+    x: Float[Array, "c h w"], y: Float[Array, "c h w"], counts: Float[Array, "h w"]
+) -> Float[Array, ""]:
+    """Sum of the similarity over the channels and over the pixels that count."""
+
+    # One channel at a time: the moments of three at once are no longer in the cache.
+    def channel(images: tuple[Array, Array]) -> Array:
+        return jnp.sum(counts * _Terms.of(*images).similarity)
+
+    return jnp.sum(jax.lax.map(channel, (x, y)))
+
+
+def _similarity_forward(x: Array, y: Array, counts: Array) -> tuple[Array, tuple[Array, Array]]:
+    """The value is one number, so its gradient can be had at once, up to the factor that comes later."""
+
+    def channel(images: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        x, y = images
+        terms = _Terms.of(x, y)
+        d_moments = [counts * d for d in terms.gradients()]
+        d_mean_x, d_mean_y, d_square, d_product = _blur(jnp.stack(d_moments))
+        d_x = d_mean_x + 2 * x * d_square + y * d_product
+        d_y = d_mean_y + 2 * y * d_square + x * d_product
+        return jnp.sum(counts * terms.similarity), d_x, d_y
+
+    values, d_x, d_y = jax.lax.map(channel, (x, y))
+    return jnp.sum(values), (d_x, d_y)
+
+
+_similarity.defvjp(
+    _similarity_forward, lambda gradients, factor: (factor * gradients[0], factor * gradients[1], None)
+)
+
+
+class _Terms(eqx.Module):
+    """The similarity (l₁ l₂) / (s₁ s₂) of every pixel's window, from the moments of the windows."""
+
+    mean_x: Array
+    mean_y: Array
+    l1: Array
+    l2: Array
+    s1: Array
+    s2: Array
+
+    @staticmethod
+    def of(x: Array, y: Array) -> "_Terms":
+        mean_x, mean_y, square_x, square_y, product = _blur(jnp.stack([x, y, x * x, y * y, x * y]))
+        means, squares = mean_x * mean_y, mean_x**2 + mean_y**2
+        return _Terms(
+            mean_x,
+            mean_y,
+            l1=2 * means + _C1,
+            l2=2 * (product - means) + _C2,
+            s1=squares + _C1,
+            s2=square_x + square_y - squares + _C2,
+        )
+
+    @property
+    def similarity(self) -> Array:
+        return (self.l1 * self.l2) / (self.s1 * self.s2)
+
+    def gradients(self) -> tuple[Array, Array, Array, Array]:
+        """Derivatives by the means of x and of y, by either mean square, and by the mean product."""
+        scale = 1 / (self.s1 * self.s2)
+        cross = 2 * (self.l2 - self.l1) * scale
+        own = -2 * self.similarity * (1 / self.s1 - 1 / self.s2)
+        return (
+            cross * self.mean_y + own * self.mean_x,
+            cross * self.mean_x + own * self.mean_y,
+            -self.similarity / self.s2,
+            2 * self.l1 * scale,
+        )
 
 
 def _masked(image: Array, mask: Array | None) -> Array:
@@ -90,13 +161,6 @@ def _blur_axis(image: Array, axis: int) -> Array:
     return sum(terms, start=jnp.zeros_like(image))
 
 
-@jax.custom_vjp
-def _blur(images: Float[Array, "*c H W"]) -> Float[Array, "*c H W"]:
-    # Without the barriers XLA fuses the passes with their neighbours and repeats them per use.
-    rows = _blur_axis(jax.lax.optimization_barrier(images), images.ndim - 2)
-    return jax.lax.optimization_barrier(_blur_axis(jax.lax.optimization_barrier(rows), images.ndim - 1))
-
-
-# The window is symmetric and the padding is zero, so the blur is its own adjoint. The automatic
-# transpose of 22 slices is 22 padded images, which costs several times more.
-_blur.defvjp(lambda images: (_blur(images), None), lambda _, cotangent: (_blur(cotangent),))
+def _blur(images: Float[Array, "m H W"]) -> Float[Array, "m H W"]:
+    """Each image with the window; symmetric, and zero outside, so that this is its own adjoint."""
+    return _blur_axis(_blur_axis(images, 1), 2)
