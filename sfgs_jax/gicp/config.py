@@ -26,7 +26,7 @@ class GicpConfig:
     strides: tuple[int, ...] = (2, 1, 1)
     """Per level from the finest: every stride-th row and column of the source is aligned."""
 
-    max_iterations: tuple[int, ...] = (6, 8, 10)
+    max_iterations: tuple[int, ...] = (12, 8, 8)
     """Per level from the finest: most Gauss-Newton steps."""
 
     residual: Residual = "gicp"
@@ -56,7 +56,7 @@ class GicpConfig:
     damping: float = 1e-4
     """Added to the normal equations, as a share of their diagonal."""
 
-    tolerance: float = 1e-4
+    tolerance: float = 2e-4
     """A level is done when a step is shorter than this, metres and radians."""
 
     inlier_width: float = 3.0
