@@ -13,9 +13,9 @@ class TrackingConfig:
     """Registration settings."""
     min_inlier_fraction: float = 0.3
     """A frame whose share of matched points is below this, from every start, is lost."""
-    keyframe_inlier_fraction: float = 0.7
+    keyframe_inlier_fraction: float = 0.55
     """A new reference keyframe is taken when the share of matched points falls below this."""
-    keyframe_translation: float = 0.25
+    keyframe_translation: float = 0.3
     """... or when the camera moved this far from the reference, metres."""
     keyframe_rotation: float = 0.35
     """... or when it turned this far, radians."""

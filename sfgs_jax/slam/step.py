@@ -20,7 +20,6 @@ from sfgs_jax.slam.state import Keyframe, Reference, SlamState
 from sfgs_jax.slam.tracking import track
 from sfgs_jax.splatting import RenderConfig, RenderOutput, pair_capacity, render
 
-
 Stages = Callable[[str], AbstractContextManager[None]]
 """Gives, for the name of a stage, a context that lasts as long as the stage and times it."""
 
