@@ -2,6 +2,8 @@
 
 from sfgs_jax.slam.config import LearningRates as LearningRates
 from sfgs_jax.slam.config import MappingConfig as MappingConfig
+from sfgs_jax.slam.config import OptimisationConfig as OptimisationConfig
+from sfgs_jax.slam.config import SeedingConfig as SeedingConfig
 from sfgs_jax.slam.config import SlamConfig as SlamConfig
 from sfgs_jax.slam.config import TrackingConfig as TrackingConfig
 from sfgs_jax.slam.driver import Progress as Progress

@@ -38,6 +38,38 @@ class LearningRates:
 
 
 @dataclass(frozen=True)
+class SeedingConfig:
+    """Where new Gaussians are set, and how they start."""
+
+    stride: int = 2
+    """New Gaussians are set on every stride-th pixel of the reduced image."""
+    min_alpha: float = 0.6
+    """A pixel with less accumulated opacity than this needs a Gaussian."""
+    depth_margin: float = 0.05
+    """... and so does one whose surface lies this share of its depth in front of the map's."""
+    opacity: float = 0.7
+    """Opacity of a new Gaussian."""
+    scale: float = 0.6
+    """Standard deviation of a new Gaussian along the surface, in spacings of the seeds."""
+    thickness: float = 0.3
+    """Standard deviation across the surface, as a share of that along it."""
+    max_depth: float = 12.0
+    """Surfaces farther away than this, metres, get no Gaussians."""
+
+
+@dataclass(frozen=True)
+class OptimisationConfig:
+    """What an optimisation step minimises, and how far it goes."""
+
+    ssim_weight: float = 0.2
+    """Weight of 1 - SSIM against L1 in the colour loss."""
+    depth_weight: float = 0.1
+    """Weight of the depth loss (L1, metres)."""
+    learning_rates: LearningRates = field(default_factory=LearningRates)
+    """Adam's step sizes."""
+
+
+@dataclass(frozen=True)
 class MappingConfig:
     """How the map is grown and optimised."""
 
@@ -61,30 +93,14 @@ class MappingConfig:
     """Optimisation steps over all keyframes after the last frame."""
     newest_share: float = 0.3
     """Share of steps spent on the newest keyframe; the others are drawn uniformly."""
-    seed_stride: int = 2
-    """New Gaussians are set on every stride-th pixel of the reduced image."""
-    seed_alpha: float = 0.6
-    """A pixel with less accumulated opacity than this needs a Gaussian."""
-    seed_depth_margin: float = 0.05
-    """... and so does one whose surface lies this share of its depth in front of the map's."""
-    seed_opacity: float = 0.7
-    """Opacity of a new Gaussian."""
-    seed_scale: float = 0.6
-    """Standard deviation of a new Gaussian along the surface, in spacings of the seeds."""
-    seed_thickness: float = 0.3
-    """Standard deviation across the surface, as a share of that along it."""
-    max_depth: float = 12.0
-    """Surfaces farther away than this, metres, get no Gaussians."""
-    ssim_weight: float = 0.2
-    """Weight of 1 - SSIM against L1 in the colour loss."""
-    depth_weight: float = 0.1
-    """Weight of the depth loss (L1, metres)."""
     prune_interval: int = 200
     """Steps between two removals of transparent Gaussians."""
     prune_opacity: float = 0.02
     """Gaussians below this opacity are removed."""
-    learning_rates: LearningRates = field(default_factory=LearningRates)
-    """Adam's step sizes."""
+    seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    """New Gaussians."""
+    optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
+    """Loss and step sizes."""
 
 
 @dataclass(frozen=True)

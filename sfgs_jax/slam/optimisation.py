@@ -7,13 +7,13 @@ import jaxlie
 from jaxtyping import Array, Float, Int, UInt8
 
 from sfgs_jax.geometry import Camera
-from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.config import OptimisationConfig
 from sfgs_jax.slam.gaussian_map import GaussianMap, parameters, with_parameters
 from sfgs_jax.splatting import RenderConfig, RenderOutput, l1, render, ssim
 
 
 def mapping_loss(
-    out: RenderOutput, rgb: Float[Array, "h w 3"], depth: Float[Array, "h w"], config: MappingConfig
+    out: RenderOutput, rgb: Float[Array, "h w 3"], depth: Float[Array, "h w"], config: OptimisationConfig
 ) -> Float[Array, ""]:
     """Loss of GS-ICP-SLAM: (1 - w) L1 + w (1 - SSIM) + w_depth L1(depth), the depth where it is measured."""
     colour = (1 - config.ssim_weight) * l1(out.rgb, rgb) + config.ssim_weight * (1 - ssim(out.rgb, rgb))
@@ -29,7 +29,7 @@ def optimise(
     depth: Float[Array, "h w"],
     camera: Camera,
     T_world_cam: jaxlie.SE3,
-    config: MappingConfig,
+    config: OptimisationConfig,
     render_config: RenderConfig,
 ) -> tuple[GaussianMap, Float[Array, ""], Int[Array, ""]]:
     """One step of Adam on the Gaussians that a keyframe sees.

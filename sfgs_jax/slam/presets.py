@@ -1,8 +1,8 @@
 """Settings that suit each kind of recording; every one can be overridden on the command line."""
 
-from sfgs_jax.slam.config import MappingConfig, SlamConfig
+from sfgs_jax.slam.config import MappingConfig, SeedingConfig, SlamConfig
 
-_KINECT = SlamConfig(mapping=MappingConfig(max_depth=5.0))
+_KINECT = SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(max_depth=5.0)))
 """A Kinect's depth is noise beyond five metres or so."""
 
 PRESETS: dict[str, SlamConfig] = {

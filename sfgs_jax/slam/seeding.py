@@ -7,17 +7,17 @@ import jaxlie
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera, se3, surface
-from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.config import SeedingConfig
 from sfgs_jax.slam.gaussian_map import PARAMETER_SHAPES, GaussianMap, Parameters
 from sfgs_jax.splatting import Gaussians, RenderOutput, rgb_to_sh
 
 
 def uncovered(
-    rendered: RenderOutput, depth: Float[Array, "h w"], config: MappingConfig
+    rendered: RenderOutput, depth: Float[Array, "h w"], config: SeedingConfig
 ) -> Bool[Array, "h w"]:
     """Pixels whose surface the map lacks: too transparent there, or the map's surface lies behind."""
-    hidden = rendered.depth > depth * (1 + config.seed_depth_margin)
-    return (rendered.alpha < config.seed_alpha) | hidden
+    hidden = rendered.depth > depth * (1 + config.depth_margin)
+    return (rendered.alpha < config.min_alpha) | hidden
 
 
 def _tangent_frames(normals: Float[Array, "n 3"], points: Float[Array, "n 3"]) -> Float[Array, "n 3 3"]:
@@ -36,10 +36,10 @@ def _candidates(
     depth: Float[Array, "h w"],
     camera: Camera,
     T_world_cam: jaxlie.SE3,
-    config: MappingConfig,
+    config: SeedingConfig,
 ) -> tuple[Parameters, Bool[Array, " m"], Int[Array, " m"]]:
     """A Gaussian for every seed pixel, which of them are usable, and their pixels' flat indices."""
-    stride = config.seed_stride
+    stride = config.stride
     rows, columns = jnp.meshgrid(
         jnp.arange(stride // 2, camera.height, stride),
         jnp.arange(stride // 2, camera.width, stride),
@@ -58,10 +58,10 @@ def _candidates(
     # Spacing of the seeds on the surface: wider down a slope by the cosine of its slant.
     spacing = stride * points[:, 2] / camera.fx
     cosine = jnp.abs(jnp.sum(normals * points, axis=-1)) / jnp.linalg.norm(points, axis=-1)
-    across = config.seed_scale * spacing
-    scales = jnp.stack([across, across / jnp.maximum(cosine, 0.25), config.seed_thickness * across], axis=-1)
+    across = config.scale * spacing
+    scales = jnp.stack([across, across / jnp.maximum(cosine, 0.25), config.thickness * across], axis=-1)
     rotations = se3.rotation_matrix(T_world_cam) @ _tangent_frames(normals, points)
-    opacity = config.seed_opacity
+    opacity = config.opacity
     return (
         {
             "means": se3.transform(T_world_cam, points),
@@ -83,7 +83,7 @@ def seed(
     missing: Bool[Array, "h w"],
     camera: Camera,
     T_world_cam: jaxlie.SE3,
-    config: MappingConfig,
+    config: SeedingConfig,
 ) -> tuple[GaussianMap, Int[Array, ""]]:
     """Put a Gaussian into a free slot for every seed pixel that is missing from the map.
 

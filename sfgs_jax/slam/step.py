@@ -123,7 +123,7 @@ def optimise_once(state: SlamState, *, newest: bool = False) -> tuple[SlamState,
             chosen.depth,
             state.mapping_camera,
             chosen.T_world_cam,
-            config,
+            config.optimisation,
             render_config,
         )
         if not int(overflow):
@@ -151,9 +151,11 @@ def _insert_keyframe(state: SlamState, frame: Frame, depth: jax.Array) -> tuple[
         if not int(rendered.overflow):
             break
         state = _with_room_for_pairs(state, state.T_world_cam)
-    missing = uncovered(rendered, small_depth, config)
+    missing = uncovered(rendered, small_depth, config.seeding)
     while True:
-        seeded, dropped = seed(state.map, rgb, small_depth, missing, camera, state.T_world_cam, config)
+        seeded, dropped = seed(
+            state.map, rgb, small_depth, missing, camera, state.T_world_cam, config.seeding
+        )
         capacity = seeded.gaussians.valid.shape[0]
         if not int(dropped) or 2 * capacity > config.max_capacity:
             break

@@ -9,12 +9,14 @@ import pytest
 from sfgs_jax.cli.configuration import RunConfig, from_json, read_config, to_json
 from sfgs_jax.datasets import ReaderOptions
 from sfgs_jax.geometry import InputError
-from sfgs_jax.slam import LearningRates, MappingConfig, SlamConfig
+from sfgs_jax.slam import LearningRates, MappingConfig, OptimisationConfig, SlamConfig
 
 
 @pytest.fixture
 def config() -> RunConfig:
-    mapping = MappingConfig(seed_stride=7, learning_rates=LearningRates(means=0.125))
+    mapping = MappingConfig(
+        keyframe_interval=7, optimisation=OptimisationConfig(learning_rates=LearningRates(means=0.125))
+    )
     reader = ReaderOptions(camera=Path("there/camera.json"), end=12, max_depth=3.0)
     return RunConfig("recording", "folder", reader, SlamConfig(mapping=mapping, seed=5))
 
@@ -25,16 +27,18 @@ def test_round_trip(config):
 
 def test_missing_settings_keep_their_defaults(config):
     data = json.loads(to_json(config))
-    del data["slam"]["mapping"]["seed_stride"]
+    del data["slam"]["mapping"]["keyframe_interval"]
     restored = from_json(json.dumps(data), "c")
-    assert restored.slam.mapping == replace(config.slam.mapping, seed_stride=MappingConfig().seed_stride)
+    assert restored.slam.mapping == replace(
+        config.slam.mapping, keyframe_interval=MappingConfig().keyframe_interval
+    )
 
 
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        (("slam", "mapping", "seed_stride"), "two", "seed_stride cannot be 'two'"),
-        (("slam", "mapping", "seed_stride"), True, "seed_stride cannot be True"),
+        (("slam", "mapping", "keyframe_interval"), "two", "keyframe_interval cannot be 'two'"),
+        (("slam", "mapping", "keyframe_interval"), True, "keyframe_interval cannot be True"),
         (("slam", "speed"), 3, "a setting 'speed' that this version does not know"),
         (("reader",), 3, "must hold settings by name"),
     ],

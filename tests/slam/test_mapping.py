@@ -94,7 +94,13 @@ def test_pruned_slots_are_filled_again(seeded, frames, config):
     everywhere = jnp.ones(keyframe.depth.shape, bool)
     rgb = keyframe.rgb.astype(jnp.float32) / 255
     refilled, dropped = seed(
-        pruned, rgb, keyframe.depth, everywhere, seeded.mapping_camera, keyframe.T_world_cam, config.mapping
+        pruned,
+        rgb,
+        keyframe.depth,
+        everywhere,
+        seeded.mapping_camera,
+        keyframe.T_world_cam,
+        config.mapping.seeding,
     )
     assert int(dropped) == 0
     assert jnp.all(refilled.gaussians.valid[:301])
@@ -118,7 +124,7 @@ def test_seeds_of_a_slanted_plane_cover_it(config):
     rgb = jnp.full((*camera.shape, 3), 0.5)
     state = slam.init(camera, config)
     seeded, _ = seed(
-        state.map, rgb, depth, jnp.ones(camera.shape, bool), camera, se3.identity(), config.mapping
+        state.map, rgb, depth, jnp.ones(camera.shape, bool), camera, se3.identity(), config.mapping.seeding
     )
     out = render(seeded.gaussians, camera, se3.identity(), config=RenderConfig(pair_capacity=32_768))
     inside = (slice(10, -10), slice(10, -10))
