@@ -1,0 +1,87 @@
+"""Run the system on the synthetic room and the real recordings, and print the figures of each run.
+
+    python -m experiments.recordings [--out DIR] [NAME ...]
+
+Each run is a process of its own, as a user would start it, so that its time includes imports, compilation,
+evaluation and report, and its memory is its own. Real recordings are found through SFGS_DATA, by default
+`../shared`. The table is in Markdown; experiments/results.md keeps the last one.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+DATA = Path(os.environ.get("SFGS_DATA", "../shared")) / "data"
+SOURCES = {
+    "synthetic": "synthetic",
+    "synthetic-noise": "synthetic:noise=1",
+    "redkitchen": str(DATA / "7scenes" / "redkitchen"),
+    "fr1_rpy": str(DATA / "tum" / "rgbd_dataset_freiburg1_rpy"),
+}
+COLUMNS = (
+    "recording",
+    "frames",
+    "tracked",
+    "ATE RMSE cm",
+    "PSNR all dB",
+    "SSIM all",
+    "tracking frames/s",
+    "whole run s",
+    "peak MB",
+)
+
+
+def measure(name: str, folder: Path) -> tuple[str, ...]:
+    """Run one recording and give its row of the table."""
+    command = [
+        sys.executable,
+        "-m",
+        "sfgs_jax.cli",
+        "run",
+        SOURCES[name],
+        "--out",
+        str(folder),
+        "--overwrite",
+    ]
+    start = time.perf_counter()
+    subprocess.run(command, check=True)
+    seconds = time.perf_counter() - start
+    metrics = json.loads((folder / "metrics.json").read_text())
+    frames = metrics["frames"]
+    return (
+        name,
+        str(frames["total"]),
+        str(frames["tracked"]),
+        f"{100 * metrics['ate']['rmse_m']:.2f}",
+        f"{metrics['psnr']['all']:.2f}",
+        f"{metrics['ssim']['all']:.3f}",
+        f"{metrics['fps']['tracking']:.1f}",
+        f"{seconds:.0f}",
+        f"{metrics['memory']['peak_mb']:.0f}",
+    )
+
+
+def main() -> None:
+    """Measure the recordings named on the command line, or all."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"of {', '.join(SOURCES)}; all if none is given"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=None, help="folder for the runs; a temporary one if not given"
+    )
+    arguments = parser.parse_args()
+    out = arguments.out or Path(tempfile.mkdtemp(prefix="sfgs-recordings-"))
+    rows = [measure(name, out / name) for name in arguments.names or SOURCES]
+    print(f"\nruns: {out}\n")
+    for row in (COLUMNS, tuple("---" for _ in COLUMNS), *rows):
+        print("| " + " | ".join(row) + " |")
+
+
+if __name__ == "__main__":
+    main()
