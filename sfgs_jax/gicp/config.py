@@ -30,7 +30,8 @@ class GicpConfig:
     """Per level from the finest: most Gauss-Newton steps."""
 
     residual: Residual = "gicp"
-    """What a correspondence measures."""
+    """What a correspondence measures. A projective correspondence lies on the viewing ray, so
+    `point_to_point` pulls along that ray even where the surface is slanted: it is there for comparison."""
 
     epsilon: float = 1e-2
     """GICP: variance of a point along its normal, as a share of that within its plane."""

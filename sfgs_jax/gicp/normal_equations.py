@@ -18,17 +18,17 @@ def _jacobian_tensor() -> np.ndarray:
 
 _JACOBIAN = _jacobian_tensor()
 # Where each entry of a symmetric 3 x 3 (4 x 4) matrix stands in the list of its upper triangle.
-_WEIGHT_INDEX = np.zeros((3, 3), int)
+_WEIGHT_INDEX = np.zeros((3, 3), np.int32)
 _WEIGHT_INDEX[ROWS, COLUMNS] = _WEIGHT_INDEX[COLUMNS, ROWS] = range(6)
 _PAIRS = np.triu_indices(4)
-_PAIR_INDEX = np.zeros((4, 4), int)
+_PAIR_INDEX = np.zeros((4, 4), np.int32)
 _PAIR_INDEX[_PAIRS] = _PAIR_INDEX[_PAIRS[::-1]] = range(10)
 
 
 def point_moments(points: Float[Array, "3 N"]) -> Float[Array, "10 N"]:
     """Products of the homogeneous coordinates of each point, fixed through an alignment."""
     homogeneous = jnp.concatenate([points, jnp.ones_like(points[:1])])
-    return homogeneous[_PAIRS[0]] * homogeneous[_PAIRS[1]]
+    return jnp.stack([homogeneous[i] * homogeneous[j] for i, j in zip(*_PAIRS, strict=True)])
 
 
 def normal_equations(

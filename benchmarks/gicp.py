@@ -1,0 +1,138 @@
+"""Registration of depth images: time and error on RedKitchen, beside small_gicp where that is installed.
+
+    python -m benchmarks.gicp
+
+Reads the recordings below SFGS_DATA, else ../shared. Times are medians after warm-up, from a depth image on
+the host to a pose; errors are against the poses given with the recording, which are good to about a
+centimetre, from a start at the identity. Compare columns of one run: absolute times depend on the machine.
+"""
+
+import importlib.util
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import jax
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from sfgs_jax import Camera
+from sfgs_jax.geometry import InputError, se3
+from sfgs_jax.gicp import align, prepare
+
+CAMERA = Camera(585.0, 585.0, 320.0, 240.0, width=640, height=480)
+GAPS = (1, 5, 10)
+STARTS = range(0, 580, 12)
+
+Stages = dict[str, float]
+Registration = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, Stages]]
+
+
+def data_root() -> Path:
+    root = Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared"))
+    if not (root / "data" / "7scenes" / "redkitchen").is_dir():
+        raise InputError(f"No 7-Scenes RedKitchen at {root}; set SFGS_DATA to the folder that holds data/.")
+    return root
+
+
+def load(folder: Path, index: int) -> tuple[np.ndarray, np.ndarray]:
+    raw = cv2.imread(str(folder / f"frame-{index:06d}.depth.png"), cv2.IMREAD_UNCHANGED)
+    if raw is None:
+        raise InputError(f"Cannot read depth image {index} of {folder}.")
+    depth = np.where(raw == 65535, 0, raw).astype(np.float32) / 1000
+    return depth, np.loadtxt(folder / f"frame-{index:06d}.pose.txt")
+
+
+def motion_error(found: np.ndarray, given: np.ndarray) -> tuple[float, float]:
+    """Centimetres and degrees between two motions."""
+    difference = np.linalg.inv(given) @ found
+    cosine = np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)
+    return 100 * float(np.linalg.norm(difference[:3, 3])), float(np.degrees(np.arccos(cosine)))
+
+
+def this_library() -> Registration:
+    compute = jax.jit(prepare)
+
+    def register(target_depth: np.ndarray, source_depth: np.ndarray) -> tuple[np.ndarray, Stages]:
+        target = jax.block_until_ready(compute(target_depth, CAMERA))
+        begin = time.perf_counter()
+        source = jax.block_until_ready(compute(source_depth, CAMERA))
+        prepared = time.perf_counter()
+        result = jax.block_until_ready(align(source, target, se3.identity()))
+        end = time.perf_counter()
+        return np.asarray(se3.matrix(result.T_target_source), np.float64), {
+            "prepare": prepared - begin,
+            "align": end - prepared,
+        }
+
+    return register
+
+
+def small_gicp(stride: int = 2, voxel: float = 0.05) -> Registration:
+    import small_gicp as peer  # pyright: ignore[reportMissingImports]
+
+    def points_of(depth: np.ndarray) -> np.ndarray:
+        v, u = np.mgrid[: depth.shape[0] : stride, : depth.shape[1] : stride]
+        z = depth[::stride, ::stride].astype(np.float64)
+        points = np.stack([(u - 320.0) / 585.0 * z, (v - 240.0) / 585.0 * z, z], -1)[z > 0]
+        return points
+
+    def preprocess(depth: np.ndarray):
+        return peer.preprocess_points(points_of(depth), downsampling_resolution=voxel, num_threads=2)
+
+    def register(target_depth: np.ndarray, source_depth: np.ndarray) -> tuple[np.ndarray, Stages]:
+        target, tree = preprocess(target_depth)
+        begin = time.perf_counter()
+        source, _ = preprocess(source_depth)
+        prepared = time.perf_counter()
+        result = peer.align(
+            target, source, tree, registration_type="GICP", max_correspondence_distance=0.1, num_threads=2
+        )
+        end = time.perf_counter()
+        return result.T_target_source, {"prepare": prepared - begin, "align": end - prepared}
+
+    return register
+
+
+def measure(name: str, register: Registration, folder: Path, table: Table) -> None:
+    register(load(folder, 0)[0], load(folder, 1)[0])
+    for gap in GAPS:
+        errors, stages = [], []
+        for start in STARTS:
+            (target, T_world_target), (source, T_world_source) = (
+                load(folder, i) for i in (start, start + gap)
+            )
+            found, seconds = register(target, source)
+            errors.append(motion_error(found, np.linalg.inv(T_world_target) @ T_world_source))
+            stages.append((seconds["prepare"], seconds["align"], sum(seconds.values())))
+        median, high = np.median(errors, axis=0), np.percentile(errors, 90, axis=0)
+        times = [f"{1000 * t:.1f}" for t in np.median(stages, axis=0)]
+        table.add_row(
+            name, str(gap), *times, f"{median[0]:.2f} / {high[0]:.2f}", f"{median[1]:.3f} / {high[1]:.3f}"
+        )
+
+
+def main() -> None:
+    folder = data_root() / "data" / "7scenes" / "redkitchen"
+    table = Table(title="Registration of RedKitchen depth images, 640x480")
+    for column in (
+        "",
+        "frames apart",
+        "prepare ms",
+        "align ms",
+        "total ms",
+        "cm median / p90",
+        "° median / p90",
+    ):
+        table.add_column(column, justify="left" if not column else "right")
+    measure("sfgs_jax", this_library(), folder, table)
+    if importlib.util.find_spec("small_gicp"):
+        measure("small_gicp", small_gicp(), folder, table)
+    Console(width=120).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""Known motions between depth images, what the result says of itself, and inputs that can't work."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax.geometry import Camera, InputError, se3
+from sfgs_jax.gicp import GicpConfig, OrganisedCloud, RegistrationResult, align, prepare
+from sfgs_jax.gicp.align import _align
+from sfgs_jax.gicp.correspondences import associate, sample, target_rows
+from tests.gicp.scenes import WALL, cast, motion_error
+
+CAMERA = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
+CONFIG = GicpConfig(noise=0.001, noise_per_square_metre=0.0)
+MOTION = np.asarray(se3.matrix(se3.exp(jnp.asarray([0.03, -0.02, 0.04, 0.02, -0.03, 0.015]))), np.float64)
+_prepare = jax.jit(prepare, static_argnames="config")
+
+
+def clouds(depth_target, depth_source, config=CONFIG) -> tuple[OrganisedCloud, OrganisedCloud]:
+    return _prepare(depth_target, CAMERA, config=config), _prepare(depth_source, CAMERA, config=config)
+
+
+def finite(result: RegistrationResult) -> bool:
+    return all(bool(np.all(np.isfinite(leaf))) for leaf in jax.tree.leaves(result))
+
+
+@pytest.fixture(scope="module")
+def corner() -> tuple[OrganisedCloud, OrganisedCloud]:
+    """Target, and source moved by MOTION."""
+    return clouds(cast(CAMERA), cast(CAMERA, MOTION))
+
+
+def test_a_known_motion_is_recovered(corner):
+    target, source = corner
+    result = align(source, target, se3.identity(), config=CONFIG)
+    metres, degrees = motion_error(np.asarray(se3.matrix(result.T_target_source), np.float64), MOTION)
+    assert metres < 1e-3
+    assert degrees < 0.05
+    assert result.converged
+    assert result.inlier_fraction > 0.85
+    assert result.rmse < 1e-3
+    assert 3 <= int(result.iterations) <= sum(CONFIG.max_iterations)
+
+
+def test_point_to_plane_recovers_it_too(corner):
+    target, source = corner
+    result = align(source, target, se3.identity(), config=replace(CONFIG, residual="point_to_plane"))
+    metres, degrees = motion_error(np.asarray(se3.matrix(result.T_target_source), np.float64), MOTION)
+    assert metres < 1e-3
+    assert degrees < 0.03
+
+
+def test_point_to_point_recovers_a_motion_along_the_view():
+    target, source = (cast(CAMERA, planes=[([0, 0, -1.0], -z)], spheres=[]) for z in (2.0, 1.96))
+    config = replace(CONFIG, residual="point_to_point")
+    result = align(*reversed(clouds(target, source, config)), se3.identity(), config=config)
+    found = np.asarray(se3.matrix(result.T_target_source), np.float64)
+    np.testing.assert_allclose(found[:3, 3], [0, 0, 0.04], atol=1e-3)
+    assert result.converged
+
+
+def test_identical_clouds_stay_where_they_are(corner):
+    target, _ = corner
+    result = align(target, target, se3.identity(), config=CONFIG)
+    metres, degrees = motion_error(np.asarray(se3.matrix(result.T_target_source), np.float64), np.eye(4))
+    assert metres < 1e-5
+    assert degrees < 1e-3
+    assert result.converged
+    assert result.inlier_fraction > 0.999
+    assert finite(result)
+
+
+def test_start_and_depth_and_intrinsics_compile_once(corner):
+    target, source = corner
+    align(source, target, se3.identity(), config=CONFIG)
+    before = _align._cache_size()
+    align(target, source, se3.exp(jnp.asarray([0.01, 0, 0, 0, 0, 0.02])), config=CONFIG)
+    other = Camera(140, 141.0, jnp.asarray(80.0), 60, width=160, height=120)
+    cloud = _prepare(cast(CAMERA), other, config=CONFIG)
+    align(cloud, cloud, se3.from_matrix(MOTION), config=CONFIG)
+    assert _align._cache_size() == before
+
+
+def test_the_information_matrix_is_that_of_a_dense_computation(corner):
+    target, source = corner
+    noise = np.random.default_rng(1).normal(scale=0.002, size=CAMERA.shape).astype(np.float32)
+    source = _prepare(cast(CAMERA, MOTION) + noise, CAMERA, config=CONFIG)
+    result = align(source, target, se3.identity(), config=CONFIG)
+
+    T = np.asarray(se3.matrix(result.T_target_source), np.float64)
+    level = sample(source.levels[0], CONFIG.strides[0])
+    pairs = associate(
+        level,
+        target_rows(target.levels[0]),
+        result.T_target_source,
+        max_distance=CONFIG.max_distance,
+        min_normal_cosine=CONFIG.min_normal_cosine,
+    )
+    information, excess, weight = np.zeros((6, 6)), 0.0, 0.0
+    for n in np.flatnonzero(pairs.found):
+        p, q, t = (np.asarray(x, np.float64)[:, n] for x in (level.points, pairs.points, pairs.normals))
+        normal = T[:3, :3] @ t
+        mean = np.asarray(level.normals, np.float64)[:, n] + t
+        distance = (p - q) @ mean / np.linalg.norm(mean)
+        if abs(distance) >= CONFIG.inlier_width * CONFIG.noise:
+            continue
+        robust = min(1.0, CONFIG.kernel_width * CONFIG.noise / max(abs(distance), 1e-9))
+        # How the distance along the target's normal of T exp(delta) p changes, column by column.
+        row = np.zeros(6)
+        for k in range(6):
+            delta = np.zeros(6)
+            delta[k] = 1
+            skew = np.array([[0, -delta[5], delta[4]], [delta[5], 0, -delta[3]], [-delta[4], delta[3], 0]])
+            row[k] = normal @ T[:3, :3] @ (delta[:3] + skew @ p)
+        information += robust / CONFIG.noise**2 * np.outer(row, row)
+        excess += robust * distance**2 / CONFIG.noise**2
+        weight += robust
+    shared = ((2 * CONFIG.radius + 1) / CONFIG.strides[0]) ** 2
+    expected = information / (excess / weight) / shared
+    np.testing.assert_allclose(result.information, expected, rtol=0.01, atol=1e-3 * np.abs(expected).max())
+
+
+def test_the_information_matrix_predicts_the_spread_of_estimates(corner):
+    target, _ = corner
+    depth, errors, predicted = cast(CAMERA, MOTION), [], []
+    rng = np.random.default_rng(2)
+    for _ in range(40):
+        noisy = depth + rng.normal(scale=0.003, size=depth.shape).astype(np.float32)
+        result = align(_prepare(noisy, CAMERA, config=CONFIG), target, se3.from_matrix(MOTION), config=CONFIG)
+        error = se3.log(se3.compose(se3.inverse(se3.from_matrix(MOTION)), result.T_target_source))
+        errors.append(np.asarray(error, np.float64))
+        predicted.append(np.diag(np.linalg.inv(np.asarray(result.information, np.float64))))
+    ratio = np.std(errors, axis=0) / np.sqrt(np.mean(predicted, axis=0))
+    assert np.all(ratio > 0.3)
+    assert np.all(ratio < 2.0)
+
+
+def test_a_bare_wall_leaves_motion_along_it_free_and_says_so():
+    wall = clouds(cast(CAMERA, planes=WALL, spheres=[]), cast(CAMERA, planes=WALL, spheres=[]))
+    normal = np.asarray(WALL[0][0]) / np.linalg.norm(WALL[0][0])
+    start = np.eye(4)
+    start[:3, 3] = [0.05, 0.03, 0.02]
+    result = align(*wall, se3.from_matrix(start), config=CONFIG)
+    found = np.asarray(se3.matrix(result.T_target_source), np.float64)
+    assert finite(result)
+    assert abs(found[:3, 3] @ normal) < 1e-3  # what the wall fixes is found
+    np.testing.assert_array_less(np.asarray(result.observability[:3]), 1e-3)
+    assert np.all(np.asarray(result.observability[3:]) > 0.01)
+    for direction in np.asarray(result.directions[:, :3], np.float64).T:
+        moved = np.asarray(se3.matrix(se3.exp(jnp.asarray(direction * 0.01, jnp.float32))), np.float64)
+        # Points of the wall stay on it, to second order.
+        points = np.asarray(wall[0].levels[0].points, np.float64)[10:-10:9, 10:-10:9].reshape(-1, 3)
+        shift = (points @ moved[:3, :3].T + moved[:3, 3] - points) @ normal
+        assert np.abs(shift).max() < 1e-3
+    values = np.linalg.eigvalsh(np.asarray(result.information, np.float64))
+    assert values[2] < 1e-3 * values[3]
+
+
+def test_clouds_that_do_not_overlap_are_not_called_converged():
+    target, source = clouds(cast(CAMERA), cast(CAMERA))
+    far = np.eye(4)
+    far[:3, 3] = [30.0, 0, 0]
+    result = align(source, target, se3.from_matrix(far), config=CONFIG)
+    assert finite(result)
+    assert not result.converged
+    assert result.inlier_fraction == 0
+    assert not np.any(result.information)
+
+
+@pytest.mark.parametrize("missing", ["source", "target", "both"])
+def test_no_depth_is_not_called_converged(missing):
+    depth, empty = cast(CAMERA), np.full(CAMERA.shape, np.nan, np.float32)
+    target, source = clouds(depth if missing == "source" else empty, depth if missing == "target" else empty)
+    start = se3.from_matrix(MOTION)
+    result = align(source, target, start, config=CONFIG)
+    assert finite(result)
+    assert not result.converged
+    assert result.inlier_fraction == 0
+    np.testing.assert_allclose(result.T_target_source.wxyz_xyz, start.wxyz_xyz, atol=1e-6)
+
+
+def test_few_points_are_not_called_converged():
+    depth = np.zeros(CAMERA.shape, np.float32)
+    depth[50:62, 70:84] = cast(CAMERA)[50:62, 70:84]
+    target, source = clouds(depth, depth)
+    assert 0 < target.levels[0].valid.sum() < 60
+    result = align(source, target, se3.identity(), config=CONFIG)
+    assert finite(result)
+    assert not result.converged
+
+
+def test_a_wrong_surface_in_view_is_outvoted(corner):
+    target, _ = corner
+    depth = cast(CAMERA, MOTION)
+    depth[20:70, 20:60] -= 0.03  # a patch that moved by itself, within the distance gate
+    result = align(_prepare(depth, CAMERA, config=CONFIG), target, se3.identity(), config=CONFIG)
+    metres, degrees = motion_error(np.asarray(se3.matrix(result.T_target_source), np.float64), MOTION)
+    assert metres < 3e-3
+    assert degrees < 0.15
+    assert result.inlier_fraction < 0.85
+
+
+def test_levels_have_their_sizes_cameras_and_no_points_across_edges():
+    cloud = _prepare(cast(CAMERA), CAMERA, config=CONFIG)
+    assert [level.valid.shape for level in cloud.levels] == [(60, 80), (30, 40), (15, 20)]
+    for level in cloud.levels:
+        assert level.camera.shape == level.valid.shape
+        valid = np.asarray(level.valid)
+        pixels = np.asarray(level.camera.project(level.points))[valid]
+        np.testing.assert_allclose(pixels, np.asarray(level.camera.pixels())[valid], atol=1e-3)
+        assert not np.any(np.asarray(level.normals)[~valid])
+
+
+def test_mismatched_input_is_refused(corner):
+    target, source = corner
+    with pytest.raises(InputError, match="prepare both clouds with this config"):
+        align(source, target, se3.identity(), config=replace(CONFIG, levels=2))
+    with pytest.raises(InputError, match="its camera is"):
+        prepare(jnp.ones((60, 80)), CAMERA)
+    with pytest.raises(InputError, match="ask for fewer levels"):
+        prepare(jnp.ones((16, 16)), Camera(10, 10, 8, 8, width=16, height=16))

@@ -1,0 +1,74 @@
+"""The normal equations against automatic differentiation, and the weights against their definition."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax.geometry import se3
+from sfgs_jax.gicp.normal_equations import normal_equations, point_moments
+from sfgs_jax.gicp.residuals import COLUMNS, ROWS, kernel_weight, weight_matrices
+
+
+def unit_columns(rng, n: int) -> np.ndarray:
+    vectors = rng.normal(size=(3, n))
+    return vectors / np.linalg.norm(vectors, axis=0)
+
+
+def full(weights) -> np.ndarray:
+    """(N, 3, 3) matrices of (6, N) upper triangles."""
+    weights = np.asarray(weights)
+    matrices = np.zeros((weights.shape[1], 3, 3))
+    matrices[:, ROWS, COLUMNS] = matrices[:, COLUMNS, ROWS] = weights.T
+    return matrices
+
+
+def test_hessian_and_gradient_are_those_of_the_perturbed_residual(float64, rng):
+    p, q = (jnp.asarray(rng.normal(size=(3, 20))) for _ in range(2))
+    s, t = (jnp.asarray(unit_columns(rng, 20)) for _ in range(2))
+    weights = weight_matrices(s, t, residual="gicp", epsilon=0.01)
+
+    def residuals(delta):
+        return se3.transform(se3.exp(delta), p.T) - q.T
+
+    jacobian = np.asarray(jax.jacfwd(residuals)(jnp.zeros(6)))
+    hessian, gradient = normal_equations(point_moments(p), weights, p - q)
+    w, r = full(weights), np.asarray(residuals(jnp.zeros(6)))
+    np.testing.assert_allclose(
+        hessian, np.einsum("nai,nab,nbj->ij", jacobian, w, jacobian), rtol=1e-10, atol=1e-9
+    )
+    np.testing.assert_allclose(gradient, np.einsum("nai,nab,nb->i", jacobian, w, r), rtol=1e-10, atol=1e-9)
+
+
+def test_gicp_weights_are_the_inverse_of_the_summed_covariances(float64, rng):
+    s, t = unit_columns(rng, 50), unit_columns(rng, 50)
+    t[:, 0] = s[:, 0]  # parallel normals, where one eigenvector vanishes
+    epsilon = 1e-3
+    weights = weight_matrices(jnp.asarray(s), jnp.asarray(t), residual="gicp", epsilon=epsilon)
+    covariances = [np.eye(3) - (1 - epsilon) * np.einsum("an,bn->nab", n, n) for n in (s, t)]
+    expected = 2 * epsilon * np.linalg.inv(covariances[0] + covariances[1])
+    np.testing.assert_allclose(full(weights), expected, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(s[:, 0] @ full(weights)[0] @ s[:, 0], 1, rtol=1e-8)
+
+
+def test_point_to_plane_sees_only_the_target_normal_and_point_to_point_everything(rng):
+    s, t = (jnp.asarray(unit_columns(rng, 5), jnp.float32) for _ in range(2))
+    plane = full(weight_matrices(s, t, residual="point_to_plane", epsilon=0.01))
+    np.testing.assert_allclose(plane, np.einsum("an,bn->nab", t, t), rtol=1e-6)
+    point = full(weight_matrices(s, t, residual="point_to_point", epsilon=0.01))
+    np.testing.assert_array_equal(point, np.broadcast_to(np.eye(3), (5, 3, 3)))
+
+
+@pytest.mark.parametrize(
+    ("kernel", "loss"),
+    [
+        ("none", lambda e: e**2 / 2),
+        ("huber", lambda e: jnp.where(jnp.abs(e) < 2, e**2 / 2, 2 * (jnp.abs(e) - 1))),
+        ("geman_mcclure", lambda e: e**2 / 2 / (1 + e**2 / 4)),
+    ],
+)
+def test_kernel_weights_are_the_slope_of_their_loss(float64, kernel, loss):
+    residuals = jnp.asarray([0.1, 1.0, 1.9, 2.5, 10.0])
+    slopes = jax.vmap(jax.grad(loss))(residuals)
+    np.testing.assert_allclose(kernel_weight(residuals**2, kernel, 2.0) * residuals, slopes, rtol=1e-10)
+    assert kernel_weight(jnp.zeros(1), kernel, 2.0)[0] == 1
