@@ -42,7 +42,7 @@ MIN_TRANSMITTANCE = 1e-4
 _CHUNK = 8
 """Gaussians per tile and step."""
 
-_BLOCK_PIXELS = 32_768
+_BLOCK_PIXELS = 16_384
 """Pixels per block: few enough for the cache, enough to keep the cores busy."""
 
 _NOTHING = -1e4
