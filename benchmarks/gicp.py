@@ -54,12 +54,10 @@ def motion_error(found: np.ndarray, given: np.ndarray) -> tuple[float, float]:
 
 
 def this_library() -> Registration:
-    compute = jax.jit(prepare)
-
     def register(target_depth: np.ndarray, source_depth: np.ndarray) -> tuple[np.ndarray, Stages]:
-        target = jax.block_until_ready(compute(target_depth, CAMERA))
+        target = jax.block_until_ready(prepare(target_depth, CAMERA))
         begin = time.perf_counter()
-        source = jax.block_until_ready(compute(source_depth, CAMERA))
+        source = jax.block_until_ready(prepare(source_depth, CAMERA))
         prepared = time.perf_counter()
         result = jax.block_until_ready(align(source, target, se3.identity()))
         end = time.perf_counter()

@@ -7,12 +7,14 @@ normal follows in closed form, facing the camera. The moments are box sums of sh
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from sfgs_jax.geometry.camera import Camera
 from sfgs_jax.geometry.errors import InputError
@@ -59,7 +61,7 @@ class _Moments(eqx.Module):
 
 
 def surface(
-    depth: Float[Array, "H W"],
+    depth: Float[Array | np.ndarray, "H W"],
     camera: Camera,
     *,
     radius: int = 2,
@@ -86,6 +88,13 @@ def surface(
         )
     if radius < 1:
         raise InputError(f"A window needs a radius of at least 1 pixel, not {radius}.")
+    return _surface(jnp.asarray(depth), camera, radius, edge_tolerance, min_fill)
+
+
+@partial(jax.jit, static_argnames="radius")
+def _surface(
+    depth: Float[Array, "H W"], camera: Camera, radius: int, edge_tolerance: ArrayLike, min_fill: ArrayLike
+) -> Surface:
     depth, measured = clean_depth(depth)
     m = _in_memory(lambda d: _fit(d, measured, radius, edge_tolerance, min_fill), depth)
     points, normals = _planes(m, camera)
@@ -112,8 +121,8 @@ def _fit(
     depth: Float[Array, "H W"],
     measured: Bool[Array, "H W"],
     radius: int,
-    edge_tolerance: float,
-    min_fill: float,
+    edge_tolerance: ArrayLike,
+    min_fill: ArrayLike,
 ) -> _Moments:
     """Moments and plane fit of every window.
 

@@ -1,6 +1,11 @@
 """Organised clouds: the surface of a depth image at several resolutions."""
 
+from functools import partial
+
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.geometry import Camera, InputError, clean_depth, downscale_depth, surface
@@ -34,7 +39,7 @@ class OrganisedCloud(eqx.Module):
 
 
 def prepare(
-    depth: Float[Array, "H W"], camera: Camera, *, config: GicpConfig | None = None
+    depth: Float[Array | np.ndarray, "H W"], camera: Camera, *, config: GicpConfig | None = None
 ) -> OrganisedCloud:
     """Organised cloud of a depth image, ready to be source or target of `align`.
 
@@ -56,9 +61,14 @@ def prepare(
         raise InputError(
             f"A depth image of {depth.shape} can't be halved {halvings} times; ask for fewer levels."
         )
+    return _prepare(jnp.asarray(depth), camera, config)
+
+
+@partial(jax.jit, static_argnames="config")
+def _prepare(depth: Float[Array, "H W"], camera: Camera, config: GicpConfig) -> OrganisedCloud:
     depth, _ = clean_depth(depth)
     levels = []
-    for halving in range(halvings + 1):
+    for halving in range(config.skipped_halvings + config.levels):
         if halving > 0:
             depth, camera = downscale_depth(depth, 2), camera.downscaled(2)
         if halving >= config.skipped_halvings:

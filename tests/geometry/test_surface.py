@@ -31,13 +31,10 @@ def unit(vector) -> np.ndarray:
     return np.asarray(vector) / np.linalg.norm(vector)
 
 
-compute = jax.jit(surface, static_argnames=("radius",))
-
-
 def test_a_plane_gives_its_points_normal_and_flat_covariances():
     normal = unit([0.3, -0.2, -0.9])
     depth = plane(normal, -5.0)
-    s = compute(depth, CAMERA, radius=2)
+    s = surface(depth, CAMERA, radius=2)
     assert np.all(s.valid[1:-1, 1:-1])
     np.testing.assert_allclose(
         s.normals[s.valid], np.broadcast_to(normal, (int(s.valid.sum()), 3)), atol=2e-4
@@ -50,7 +47,7 @@ def test_a_plane_gives_its_points_normal_and_flat_covariances():
 
 
 def test_the_covariance_is_that_of_the_windows_points():
-    s = compute(sphere([0.1, 0.0, 2.0], 0.8), CAMERA, radius=2)
+    s = surface(sphere([0.1, 0.0, 2.0], 0.8), CAMERA, radius=2)
     points = np.asarray(CAMERA.unproject(CAMERA.pixels(), jnp.asarray(sphere([0.1, 0.0, 2.0], 0.8))))
     for row, column in [(36, 47), (30, 60), (44, 38)]:
         window = points[row - 2 : row + 3, column - 2 : column + 3].reshape(-1, 3).astype(np.float64)
@@ -60,7 +57,7 @@ def test_the_covariance_is_that_of_the_windows_points():
 
 def test_a_spheres_normals_point_outwards():
     centre = np.asarray([0.1, 0.0, 2.0])
-    s = compute(sphere(centre, 0.8), CAMERA, radius=2)
+    s = surface(sphere(centre, 0.8), CAMERA, radius=2)
     outward = np.asarray(s.points)[s.valid] - centre
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
     cosines = np.sum(outward * np.asarray(s.normals)[s.valid], axis=-1)
@@ -70,7 +67,7 @@ def test_a_spheres_normals_point_outwards():
 
 
 def test_normals_face_the_camera():
-    s = compute(sphere([0.1, 0.0, 2.0], 0.8), CAMERA, radius=2)
+    s = surface(sphere([0.1, 0.0, 2.0], 0.8), CAMERA, radius=2)
     assert np.all(np.sum(np.asarray(s.points * s.normals), axis=-1)[s.valid] < 0)
 
 
@@ -79,7 +76,7 @@ def test_holes_leave_the_rest_of_a_plane_right(rng):
     depth = plane(normal, -3.0)
     missing = rng.random(depth.shape) < 0.25
     depth[missing] = np.where(rng.random(missing.sum()) < 0.5, 0, np.nan)
-    s = compute(depth, CAMERA, radius=2)
+    s = surface(depth, CAMERA, radius=2)
     valid = np.asarray(s.valid)
     assert not valid[missing].any()
     assert valid.mean() > 0.65
@@ -91,7 +88,7 @@ def test_holes_leave_the_rest_of_a_plane_right(rng):
 
 def test_windows_across_a_depth_edge_are_rejected_and_those_beside_it_are_not():
     depth = np.where(np.arange(96) < 48, 1.5, 2.0) * np.ones((72, 1))
-    s = compute(depth.astype(np.float32), CAMERA, radius=2)
+    s = surface(depth.astype(np.float32), CAMERA, radius=2)
     assert not s.valid[:, 46:50].any()
     assert s.valid[10:-10, 10:46].all()
     assert s.valid[10:-10, 50:-10].all()
@@ -102,7 +99,7 @@ def test_a_larger_window_averages_quantised_depth():
     inverse = np.round(1 / plane(normal, -2.0).astype(np.float64) / 0.00285) * 0.00285
     errors = []
     for radius in (2, 6):
-        s = compute((1 / inverse).astype(np.float32), CAMERA, radius=radius)
+        s = surface((1 / inverse).astype(np.float32), CAMERA, radius=radius)
         cosines = np.clip(np.asarray(s.normals)[s.valid] @ normal, -1, 1)
         errors.append(np.degrees(np.arccos(cosines)).mean())
     assert errors[1] < errors[0] / 3
@@ -110,7 +107,7 @@ def test_a_larger_window_averages_quantised_depth():
 
 
 def test_no_depth_gives_nothing_and_no_nan():
-    s = compute(np.full(CAMERA.shape, np.nan, np.float32), CAMERA, radius=2)
+    s = surface(np.full(CAMERA.shape, np.nan, np.float32), CAMERA, radius=2)
     assert not s.valid.any()
     for leaf in (s.points, s.normals, s.covariances):
         assert not np.any(leaf)

@@ -16,11 +16,10 @@ from tests.gicp.scenes import WALL, cast, motion_error
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
 CONFIG = GicpConfig(noise=0.001, noise_per_square_metre=0.0)
 MOTION = np.asarray(se3.matrix(se3.exp(jnp.asarray([0.03, -0.02, 0.04, 0.02, -0.03, 0.015]))), np.float64)
-_prepare = jax.jit(prepare, static_argnames="config")
 
 
 def clouds(depth_target, depth_source, config=CONFIG) -> tuple[OrganisedCloud, OrganisedCloud]:
-    return _prepare(depth_target, CAMERA, config=config), _prepare(depth_source, CAMERA, config=config)
+    return prepare(depth_target, CAMERA, config=config), prepare(depth_source, CAMERA, config=config)
 
 
 def finite(result: RegistrationResult) -> bool:
@@ -79,7 +78,7 @@ def test_start_and_depth_and_intrinsics_compile_once(corner):
     before = _align._cache_size()
     align(target, source, se3.exp(jnp.asarray([0.01, 0, 0, 0, 0, 0.02])), config=CONFIG)
     other = Camera(140, 141.0, jnp.asarray(80.0), 60, width=160, height=120)
-    cloud = _prepare(cast(CAMERA), other, config=CONFIG)
+    cloud = prepare(cast(CAMERA), other, config=CONFIG)
     align(cloud, cloud, se3.from_matrix(MOTION), config=CONFIG)
     assert _align._cache_size() == before
 
@@ -87,7 +86,7 @@ def test_start_and_depth_and_intrinsics_compile_once(corner):
 def test_the_information_matrix_is_that_of_a_dense_computation(corner):
     target, source = corner
     noise = np.random.default_rng(1).normal(scale=0.002, size=CAMERA.shape).astype(np.float32)
-    source = _prepare(cast(CAMERA, MOTION) + noise, CAMERA, config=CONFIG)
+    source = prepare(cast(CAMERA, MOTION) + noise, CAMERA, config=CONFIG)
     result = align(source, target, se3.identity(), config=CONFIG)
 
     T = np.asarray(se3.matrix(result.T_target_source), np.float64)
@@ -129,7 +128,7 @@ def test_the_information_matrix_predicts_the_spread_of_estimates(corner):
     rng = np.random.default_rng(2)
     for _ in range(40):
         noisy = depth + rng.normal(scale=0.003, size=depth.shape).astype(np.float32)
-        result = align(_prepare(noisy, CAMERA, config=CONFIG), target, se3.from_matrix(MOTION), config=CONFIG)
+        result = align(prepare(noisy, CAMERA, config=CONFIG), target, se3.from_matrix(MOTION), config=CONFIG)
         error = se3.log(se3.compose(se3.inverse(se3.from_matrix(MOTION)), result.T_target_source))
         errors.append(np.asarray(error, np.float64))
         predicted.append(np.diag(np.linalg.inv(np.asarray(result.information, np.float64))))
@@ -196,7 +195,7 @@ def test_a_wrong_surface_in_view_is_outvoted(corner):
     target, _ = corner
     depth = cast(CAMERA, MOTION)
     depth[20:70, 20:60] -= 0.03  # a patch that moved by itself, within the distance gate
-    result = align(_prepare(depth, CAMERA, config=CONFIG), target, se3.identity(), config=CONFIG)
+    result = align(prepare(depth, CAMERA, config=CONFIG), target, se3.identity(), config=CONFIG)
     metres, degrees = motion_error(np.asarray(se3.matrix(result.T_target_source), np.float64), MOTION)
     assert metres < 3e-3
     assert degrees < 0.15
@@ -204,7 +203,7 @@ def test_a_wrong_surface_in_view_is_outvoted(corner):
 
 
 def test_levels_have_their_sizes_cameras_and_no_points_across_edges():
-    cloud = _prepare(cast(CAMERA), CAMERA, config=CONFIG)
+    cloud = prepare(cast(CAMERA), CAMERA, config=CONFIG)
     assert [level.valid.shape for level in cloud.levels] == [(60, 80), (30, 40), (15, 20)]
     for level in cloud.levels:
         assert level.camera.shape == level.valid.shape
