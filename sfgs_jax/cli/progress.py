@@ -42,14 +42,16 @@ def reporting(task: str, total: int, *, quiet: bool) -> Iterator[Reporter]:
 
 
 class _PlainLines:
-    """A line every few seconds, and one at the end."""
+    """A line every few seconds, and one when the last unit is done."""
 
     def __init__(self, task: str, total: int) -> None:
         self._task, self._total, self._last = task, total, time.monotonic()
+        self._complete = False
 
     def __call__(self, done: int, details: str = "") -> None:
         now = time.monotonic()
-        if done < self._total and now - self._last < PLAIN_INTERVAL_SECONDS:
+        finishing = done >= self._total and not self._complete
+        if not finishing and now - self._last < PLAIN_INTERVAL_SECONDS:
             return
-        self._last = now
+        self._last, self._complete = now, done >= self._total
         print(f"{self._task} {done}/{self._total} {details}".rstrip(), file=sys.stderr, flush=True)

@@ -79,7 +79,7 @@ class MappingConfig:
     """Gaussians the map has room for at first; it doubles when full."""
     max_capacity: int = 1_048_576
     """The map never grows beyond this; what did not fit is reported."""
-    pair_capacity: int = 262_144
+    pair_capacity: int = 131_072
     """(tile, Gaussian) pairs a rendering has room for at first; it grows when a view needs more."""
     keyframe_interval: int = 8
     """A mapping keyframe is taken this many frames after the last one, if not sooner for tracking."""

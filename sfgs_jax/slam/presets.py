@@ -12,6 +12,6 @@ PRESETS: dict[str, SlamConfig] = {
     "replica": SlamConfig(),
     "icl_nuim": SlamConfig(),
     "folder": SlamConfig(),
-    "synthetic": SlamConfig(),
+    "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),
 }
 """Preset by dataset name."""

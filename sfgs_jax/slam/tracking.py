@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
@@ -35,9 +34,6 @@ class Tracking(NamedTuple):
     rmse: float
 
 
-_prepare = jax.jit(gicp.prepare, static_argnames="config")
-
-
 def track(state: SlamState, depth: Float[Array, "H W"]) -> Tracking:
     """Find the pose of a depth image. The first frame defines the world frame.
 
@@ -46,7 +42,7 @@ def track(state: SlamState, depth: Float[Array, "H W"]) -> Tracking:
         depth: (H, W) metres, 0 where missing.
     """
     config = state.config.tracking
-    cloud = _prepare(depth, state.camera, config=config.gicp)
+    cloud = gicp.prepare(depth, state.camera, config=config.gicp)
     if state.reference is None:
         return Tracking(cloud, state.T_world_cam, se3.identity(), True, True, 1.0, 0.0)
 
