@@ -13,7 +13,11 @@ class TrackingConfig:
     """Registration settings."""
     min_inlier_fraction: float = 0.3
     """A frame whose share of matched points is below this, from every start, is lost."""
-    keyframe_inlier_fraction: float = 0.55
+    num_references: int = 12
+    """Reference keyframes that are kept; a new one is registered to all that it overlaps."""
+    max_correction: float = 0.1
+    """A registration to an older reference that disagrees by more than this, metres, is not believed."""
+    keyframe_inlier_fraction: float = 0.6
     """A new reference keyframe is taken when the share of matched points falls below this."""
     keyframe_translation: float = 0.3
     """... or when the camera moved this far from the reference, metres."""

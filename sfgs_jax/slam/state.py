@@ -29,7 +29,7 @@ class Keyframe(eqx.Module):
 
 
 class Reference(eqx.Module):
-    """The keyframe that frames are registered to.
+    """A keyframe that frames are registered to.
 
     Attributes:
         cloud: its prepared depth image.
@@ -48,7 +48,7 @@ class SlamState(eqx.Module):
         camera: intrinsics of the frames.
         T_world_cam: pose of the newest tracked frame.
         T_previous_current: motion between the two newest tracked frames.
-        reference: what the next frame is registered to; None before the first frame.
+        references: the tracker's newest keyframes, oldest first; the next frame is registered to the last.
         map: the Gaussians and their optimiser.
         keyframes: mapping keyframes, oldest first.
         num_frames: frames seen.
@@ -60,7 +60,7 @@ class SlamState(eqx.Module):
     camera: Camera
     T_world_cam: jaxlie.SE3
     T_previous_current: jaxlie.SE3
-    reference: Reference | None
+    references: tuple[Reference, ...]
     map: GaussianMap
     keyframes: tuple[Keyframe, ...]
     num_frames: int
@@ -91,7 +91,7 @@ def init(camera: Camera, config: SlamConfig | None = None) -> SlamState:
         camera=camera,
         T_world_cam=se3.identity(),
         T_previous_current=se3.identity(),
-        reference=None,
+        references=(),
         map=empty_map(config.mapping.capacity),
         keyframes=(),
         num_frames=0,

@@ -83,15 +83,17 @@ def step(state: SlamState, frame: Frame, *, stages: Stages = _untimed) -> tuple[
     loss, dropped = float("nan"), 0
     if found.tracked:
         if found.new_reference:
-            state = replace(state, reference=Reference(found.cloud, found.T_world_cam))
+            reference = Reference(found.cloud, found.T_world_cam)
+            kept = (*state.references, reference)[-state.config.tracking.num_references :]
+            state = replace(state, references=kept)
         if new_keyframe:
             with stages("keyframe"):
                 state, dropped = _insert_keyframe(state, frame, depth)
         with stages("mapping"):
             mapping = state.config.mapping
-            newest = mapping.steps_per_keyframe if new_keyframe else 0
-            for i in range(newest + mapping.steps_per_frame):
-                state, loss = optimise_once(state, newest=i < newest)
+            extra = mapping.steps_per_keyframe if new_keyframe else 0
+            for i in range(extra + mapping.steps_per_frame):
+                state, loss = optimise_once(state, newest=i < extra)
     info = StepInfo(
         found.T_world_cam,
         found.tracked,

@@ -38,41 +38,59 @@ def track(state: SlamState, depth: Float[Array, "H W"]) -> Tracking:
     """Find the pose of a depth image. The first frame defines the world frame.
 
     Args:
-        state: the run so far; its reference, newest pose and motion are read.
+        state: the run so far; its references, newest pose and motion are read.
         depth: (H, W) metres, 0 where missing.
     """
     config = state.config.tracking
     cloud = gicp.prepare(depth, state.camera, config=config.gicp)
-    if state.reference is None:
+    if not state.references:
         return Tracking(cloud, state.T_world_cam, se3.identity(), True, True, 1.0, 0.0)
 
-    T_reference_last = se3.compose(se3.inverse(state.reference.T_world_cam), state.T_world_cam)
-    result, tracked = _align(cloud, state.reference, T_reference_last, state.T_previous_current, config)
+    reference = state.references[-1]
+    T_reference_last = se3.compose(se3.inverse(reference.T_world_cam), state.T_world_cam)
+    result, tracked = _align(cloud, reference, T_reference_last, state.T_previous_current, config)
+    inlier_fraction, rmse = float(result.inlier_fraction), float(result.rmse)
     if not tracked:
-        return Tracking(
-            cloud,
-            state.T_world_cam,
-            se3.identity(),
-            False,
-            False,
-            float(result.inlier_fraction),
-            float(result.rmse),
-        )
-    T_reference_cam = result.T_target_source
-    moved = jnp.abs(se3.log(T_reference_cam))
-    return Tracking(
-        cloud=cloud,
-        T_world_cam=se3.compose(state.reference.T_world_cam, T_reference_cam),
-        T_previous_current=se3.compose(se3.inverse(T_reference_last), T_reference_cam),
-        tracked=True,
-        new_reference=bool(
-            (result.inlier_fraction < config.keyframe_inlier_fraction)
-            | (jnp.linalg.norm(moved[:3]) > config.keyframe_translation)
-            | (jnp.linalg.norm(moved[3:]) > config.keyframe_rotation)
-        ),
-        inlier_fraction=float(result.inlier_fraction),
-        rmse=float(result.rmse),
+        return Tracking(cloud, state.T_world_cam, se3.identity(), False, False, inlier_fraction, rmse)
+    T_world_cam = se3.compose(reference.T_world_cam, result.T_target_source)
+    new_reference = _has_left(result, config)
+    if new_reference:
+        T_world_cam = _agree(cloud, T_world_cam, state.references, config)
+    T_previous_current = se3.compose(se3.inverse(state.T_world_cam), T_world_cam)
+    return Tracking(cloud, T_world_cam, T_previous_current, True, new_reference, inlier_fraction, rmse)
+
+
+def _has_left(result: gicp.RegistrationResult, config: TrackingConfig) -> bool:
+    """Whether the camera has moved so far that the frame should be the next reference."""
+    moved = se3.log(result.T_target_source)
+    return bool(
+        (result.inlier_fraction < config.keyframe_inlier_fraction)
+        | (jnp.linalg.norm(moved[:3]) > config.keyframe_translation)
+        | (jnp.linalg.norm(moved[3:]) > config.keyframe_rotation)
     )
+
+
+def _agree(
+    cloud: gicp.OrganisedCloud,
+    T_world_cam: jaxlie.SE3,
+    references: tuple[Reference, ...],
+    config: TrackingConfig,
+) -> jaxlie.SE3:
+    """Pose of a new reference by all the references that it overlaps, not by the last alone.
+
+    Drift grows with every change of reference, and where the camera looks at what it saw before, an older
+    reference knows the pose better. The registrations are averaged in the tangent at the pose, by the
+    share of points that each explains.
+    """
+    total, weight = jnp.zeros(6), 0.0
+    for reference in references:
+        T_reference_cam = se3.compose(se3.inverse(reference.T_world_cam), T_world_cam)
+        result = gicp.align(cloud, reference.cloud, T_reference_cam, config=config.gicp)
+        correction = se3.log(se3.compose(se3.inverse(T_reference_cam), result.T_target_source))
+        if _is_good(result, config) and jnp.linalg.norm(correction[:3]) < config.max_correction:
+            total += result.inlier_fraction * correction
+            weight += float(result.inlier_fraction)
+    return se3.compose(T_world_cam, se3.exp(total / weight)) if weight else T_world_cam
 
 
 def _align(

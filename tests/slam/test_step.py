@@ -145,3 +145,28 @@ def test_too_few_pairs_are_made_room_for(room, frames, config):
     assert state.pair_capacity > 128
     roomy, _ = slam.step(slam.init(room.camera, config), frames[0])
     np.testing.assert_allclose(state.map.gaussians.means, roomy.map.gaussians.means, atol=1e-5)
+
+
+def test_a_new_reference_is_placed_by_all_that_it_overlaps(room, frames, config):
+    """One reference of four that is 4 cm off moves the next one by about 1 cm, not by 4."""
+    always = replace(config, tracking=replace(config.tracking, keyframe_inlier_fraction=1.1))
+    state, _ = follow(room, frames[:4], always)
+    assert len(state.references) == 4
+    _, undisturbed = slam.step(state, frames[4])
+
+    shift = se3.exp(jnp.asarray([0.04, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    newest = state.references[-1]
+    moved = replace(newest, T_world_cam=se3.compose(newest.T_world_cam, shift))
+    disturbed = replace(
+        state,
+        references=(*state.references[:-1], moved),
+        T_world_cam=se3.compose(state.T_world_cam, shift),
+    )
+    _, info = slam.step(disturbed, frames[4])
+    error = jnp.linalg.norm(info.T_world_cam.wxyz_xyz[4:] - undisturbed.T_world_cam.wxyz_xyz[4:])
+    assert 0.005 < error < 0.02
+
+    alone = replace(disturbed, references=(moved,))
+    _, info = slam.step(alone, frames[4])
+    error = jnp.linalg.norm(info.T_world_cam.wxyz_xyz[4:] - undisturbed.T_world_cam.wxyz_xyz[4:])
+    assert 0.03 < error < 0.05
