@@ -4,13 +4,13 @@ import dataclasses
 import os
 import tempfile
 from importlib.metadata import PackageNotFoundError, requires, version
-from pathlib import Path
 
 import jax
 import tyro
 
 from sfgs_jax import __version__
 from sfgs_jax.cli.cache import cache_folder
+from sfgs_jax.evaluation import default_lpips_path
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,14 +99,7 @@ def _cache() -> Finding:
 
 
 def _data() -> list[Finding]:
-    """Optional: the real recordings of the tests, and the weights of LPIPS."""
-    root = Path(os.environ.get("SFGS_DATA", "../shared"))
-    if not root.is_dir():
-        return [
-            Finding(
-                "SFGS_DATA", f"{root} is not there: no LPIPS, and the tests on real recordings are skipped"
-            )
-        ]
-    weights = root / "weights" / "lpips_squeeze_v0.1.npz"
-    lpips = "with LPIPS weights" if weights.is_file() else "without LPIPS weights: that metric is left out"
-    return [Finding("SFGS_DATA", f"{root}, {lpips}")]
+    """Optional: without these weights a run goes well and its LPIPS is left out."""
+    weights = default_lpips_path()
+    found = "found" if weights.is_file() else "not there, so no LPIPS (SFGS_DATA says where to look)"
+    return [Finding("LPIPS weights", f"{weights}, {found}")]

@@ -65,17 +65,6 @@ class Camera(eqx.Module):
             height=self.height // factor,
         )
 
-    def subsampled(self, stride: int) -> "Camera":
-        """Camera of the image that keeps every stride-th row and column of this one's, from (0, 0)."""
-        return Camera(
-            self.fx / stride,
-            self.fy / stride,
-            self.cx / stride,
-            self.cy / stride,
-            width=-(-self.width // stride),
-            height=-(-self.height // stride),
-        )
-
     def pixels(self) -> Float[Array, "H W 2"]:
         """Coordinates (u, v) of every pixel."""
         u, v = jnp.meshgrid(

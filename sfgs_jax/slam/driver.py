@@ -122,7 +122,7 @@ def run(
         for _, frame in frames:
             info = _advance(result, frame)
             skipped = frame if isinstance(frame, FrameError) else None
-            observer(Progress("frames", result.num_frames, _map_size(result), skipped, info, result))
+            observer(Progress("frames", result.num_frames, result.state.num_gaussians, skipped, info, result))
             _check_skipped(result)
         _refine(result, observer)
     except KeyboardInterrupt:
@@ -154,11 +154,7 @@ def _refine(run: Run, observer: Callable[[Progress], None]) -> None:
     for done in range(run.config.mapping.final_steps):
         with run.stopwatch("refinement"):
             run.state, _ = optimise_once(run.state)
-        observer(Progress("refinement", done + 1, _map_size(run), None, None, run))
-
-
-def _map_size(run: Run) -> int:
-    return int(np.sum(jax.device_get(run.gaussians.valid)))
+        observer(Progress("refinement", done + 1, run.state.num_gaussians, None, None, run))
 
 
 def _check_skipped(run: Run) -> None:

@@ -9,7 +9,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import jax
-import numpy as np
 
 from sfgs_jax.geometry import InputError, format_tum, write_atomically
 from sfgs_jax.slam.driver import Run
@@ -76,7 +75,7 @@ def run_metrics(run: Run) -> dict[str, object]:
     """What a run knows of itself; the evaluation adds what needs ground truth or the images."""
     stages = run.stopwatch.summary()
     gaussians = run.gaussians
-    used = int(np.sum(jax.device_get(gaussians.valid)))
+    used = run.state.num_gaussians
     slots = gaussians.valid.shape[0]
     size = sum(leaf.nbytes for leaf in jax.tree.leaves(gaussians)) // slots * used
     tracking = run.stopwatch.total("tracking")

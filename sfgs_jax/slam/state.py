@@ -1,7 +1,6 @@
 """The state of a run: one pytree, from which the next step follows."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float, UInt8
@@ -68,6 +67,11 @@ class SlamState(eqx.Module):
     pair_capacity: int
 
     @property
+    def num_gaussians(self) -> int:
+        """Gaussians in the map."""
+        return int(jnp.sum(self.map.gaussians.valid))
+
+    @property
     def mapping_factor(self) -> int:
         """Whole factor by which mapping reduces the images."""
         return max(1, -(-self.camera.width // self.config.mapping.max_width))
@@ -98,8 +102,3 @@ def init(camera: Camera, config: SlamConfig | None = None) -> SlamState:
         num_steps=0,
         pair_capacity=config.mapping.pair_capacity,
     )
-
-
-def num_gaussians(state: SlamState) -> int:
-    """Number of Gaussians in the map."""
-    return int(jnp.sum(jax.device_get(state.map.gaussians.valid)))

@@ -45,13 +45,6 @@ def test_downscaled_camera_sees_block_centres(camera, factor):
     np.testing.assert_allclose(small.project(ray), [0.0, 0.0], atol=1e-5)
 
 
-def test_subsampled_camera_keeps_the_first_pixel(camera):
-    small = camera.subsampled(5)
-    assert small.shape == (5, 7)
-    ray = camera.unproject(jnp.asarray([10.0, 5.0]), jnp.asarray(1.0))
-    np.testing.assert_allclose(small.project(ray), [2.0, 1.0], atol=1e-5)
-
-
 def test_intrinsics_are_strong_float32_so_that_nothing_compiles_twice(camera):
     other = Camera(np.float64(50), 60, jnp.asarray(15.5), 11.0, width=32, height=24)
     for a, b in zip(jax.tree.leaves(camera), jax.tree.leaves(other), strict=True):
