@@ -10,6 +10,9 @@ from sfgs_jax.geometry.files import write_atomically as write_atomically
 from sfgs_jax.geometry.frame import Frame as Frame
 from sfgs_jax.geometry.frame import clean_depth as clean_depth
 from sfgs_jax.geometry.registration import register_depth as register_depth
+from sfgs_jax.geometry.robust_kernels import Kernel as Kernel
+from sfgs_jax.geometry.robust_kernels import kernel_rho as kernel_rho
+from sfgs_jax.geometry.robust_kernels import kernel_weight as kernel_weight
 from sfgs_jax.geometry.rotations import quaternions_from_rotations as quaternions_from_rotations
 from sfgs_jax.geometry.rotations import rotations_from_quaternions as rotations_from_quaternions
 from sfgs_jax.geometry.surface import Surface as Surface
