@@ -2,3 +2,9 @@
 
 from sfgs_jax.superfeats.features import Features as Features
 from sfgs_jax.superfeats.features import Matches as Matches
+from sfgs_jax.superfeats.matching import MIN_SIMILARITY as MIN_SIMILARITY
+from sfgs_jax.superfeats.matching import match as match
+from sfgs_jax.superfeats.motion_filter import MotionFilterConfig as MotionFilterConfig
+from sfgs_jax.superfeats.motion_filter import filter_by_motion as filter_by_motion
+from sfgs_jax.superfeats.orb import extract_orb as extract_orb
+from sfgs_jax.superfeats.packing import pack_features as pack_features

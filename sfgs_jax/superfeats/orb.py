@@ -1,0 +1,32 @@
+"""ORB behind the interface of the learned features, for comparison and for the paper's ablation."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.superfeats.features import Features
+from sfgs_jax.superfeats.packing import pack_features
+
+
+def extract_orb(
+    image: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w 3"], *, max_keypoints: int = 1024
+) -> Features:
+    """ORB keypoints of an image of any size, on the host through OpenCV.
+
+    The 256 bits of a descriptor become numbers of ±1/16, so that it has unit length and a dot product is
+    1 - 2 h / 256, with h the Hamming distance: `match` works as it does for learned descriptors.
+
+    Source: Rublee et al., ORB: an efficient alternative to SIFT or SURF, ICCV 2011.
+
+    Args:
+        image: grey or RGB in [0, 1].
+        max_keypoints: slots of the result; an image without corners leaves all of them empty.
+    """
+    scaled = np.clip(np.rint(np.asarray(image, np.float32) * 255), 0, 255).astype(np.uint8)
+    grey = cv2.cvtColor(scaled, cv2.COLOR_RGB2GRAY) if scaled.ndim == 3 else scaled
+    found, bits = cv2.ORB.create(nfeatures=max_keypoints).detectAndCompute(grey, None)
+    if not found:
+        return pack_features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 256)), capacity=max_keypoints)
+    descriptors = (np.unpackbits(bits, axis=1) * np.float32(2) - 1) / 16
+    scores = np.asarray([keypoint.response for keypoint in found])
+    return pack_features(cv2.KeyPoint.convert(found), scores, descriptors, capacity=max_keypoints)
