@@ -26,9 +26,10 @@ def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMI
     Raises:
         InputError: descriptors differ in length, or `min_similarity` lies outside [0, 1].
     """
-    if a.descriptors.shape[1] != b.descriptors.shape[1]:
+    lengths = a.descriptors.shape[1], b.descriptors.shape[1]
+    if lengths[0] != lengths[1]:
         raise InputError(
-            f"Descriptors of {a.descriptors.shape[1]} and {b.descriptors.shape[1]} numbers can't be compared: "
+            f"Descriptors of {lengths[0]} and {lengths[1]} numbers cannot be compared: "
             "take both images' features from one extractor."
         )
     if isinstance(min_similarity, float | int) and not 0 <= min_similarity <= 1:
@@ -40,10 +41,8 @@ def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMI
 def _match(a: Features, b: Features, min_similarity: Scalar) -> Matches:
     table = similarities(a, b)
     columns = table.shape[1]
-    # A row's maximum is found again by comparing: XLA's argmax takes ten times as long on a CPU.
     best_of_row, best_of_column = table.max(axis=1), table.max(axis=0)
-    mutual = (table == best_of_row[:, None]) & (table == best_of_column)
-    index_b = jnp.min(jnp.where(mutual, jnp.arange(columns), columns), axis=1)
+    index_b = first_true((table == best_of_row[:, None]) & (table == best_of_column))
     found = (index_b < columns) & (best_of_row > min_similarity)
     return gather_matches(a, b, index_b, found & first_claim(index_b, found, columns))
 
@@ -52,6 +51,16 @@ def similarities(a: Features, b: Features) -> Float[Array, "k m"]:
     """Cosines of all pairs; those of empty slots are 0, so no floor of 0 or more lets them match."""
     left, right = (jnp.where(x.valid[:, None], x.descriptors, 0) for x in (a, b))
     return lax.stop_gradient(left @ right.T)
+
+
+def first_true(table: Bool[Array, "k m"]) -> Int[Array, " k"]:
+    """The first column where each row is true, or m where it is nowhere.
+
+    Compared with its maximum, a table gives each row's best column in a fifth of the time that XLA's argmax
+    takes on a CPU.
+    """
+    columns = table.shape[1]
+    return jnp.min(jnp.where(table, jnp.arange(columns), columns), axis=1)
 
 
 def first_claim(index_b: Int[Array, " k"], found: Bool[Array, " k"], columns: int) -> Bool[Array, " k"]:

@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.superfeats.features import Features, Matches
-from sfgs_jax.superfeats.matching import MIN_SIMILARITY, first_claim, gather_matches, similarities
+from sfgs_jax.superfeats.matching import MIN_SIMILARITY, first_claim, first_true, gather_matches, similarities
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,8 @@ def _second_best(
 ) -> tuple[Int[Array, " k"], Bool[Array, " k"]]:
     """Each keypoint's second most similar one in image b, and whether both are free and similar enough."""
     table = similarities(a, b)
-    rows = jnp.arange(len(kept))
-    table = table.at[rows, jnp.argmax(table, axis=1)].set(0)
+    table = jnp.where(table == table.max(axis=1)[:, None], 0, table)
+    similarity = table.max(axis=1)
+    second = first_true(table == similarity[:, None])
     taken = jnp.zeros(len(b.valid), bool).at[jnp.where(kept, index_b, len(b.valid))].set(True, mode="drop")
-    second = jnp.argmax(table, axis=1)
-    return second, ~kept & ~taken[second] & (table[rows, second] > config.min_similarity)
+    return second, ~kept & ~taken[second] & (similarity > config.min_similarity)

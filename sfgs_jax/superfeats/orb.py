@@ -27,6 +27,6 @@ def extract_orb(
     found, bits = cv2.ORB.create(nfeatures=max_keypoints).detectAndCompute(grey, None)
     if not found:
         return pack_features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 256)), capacity=max_keypoints)
-    descriptors = (np.unpackbits(bits, axis=1) * np.float32(2) - 1) / 16
+    descriptors = (np.unpackbits(np.asarray(bits, np.uint8), axis=1) * np.float32(2) - 1) / 16
     scores = np.asarray([keypoint.response for keypoint in found])
-    return pack_features(cv2.KeyPoint.convert(found), scores, descriptors, capacity=max_keypoints)
+    return pack_features(np.asarray(cv2.KeyPoint.convert(found)), scores, descriptors, capacity=max_keypoints)
