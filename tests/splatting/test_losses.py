@@ -75,3 +75,20 @@ def test_ssim_gradients_agree_with_finite_differences(images, rng):
         ]
         numerical = float(ssim(*moved[0], mask) - ssim(*moved[1], mask)) / 2e-6
         assert numerical == pytest.approx(float(jnp.sum(gradient * direction)), rel=1e-6)
+
+
+@pytest.mark.parametrize("height", [1, 31, 33, 64, 70])
+def test_ssim_does_not_depend_on_how_the_rows_are_cut(height, rng):
+    a = rng.random((height, 12))
+    b = np.clip(a + 0.2 * rng.normal(size=a.shape), 0, 1)
+    whole = direct_ssim(a[..., None], b[..., None]).mean()
+    assert float(ssim(jnp.float32(a), jnp.float32(b))) == pytest.approx(whole, abs=2e-6)
+
+
+def test_ssim_can_be_mapped_over_a_batch(images):
+    a, b = (jnp.stack([jnp.float32(image), 0.5 * jnp.float32(image)]) for image in images)
+    values, gradients = jax.vmap(jax.value_and_grad(ssim))(a, b)
+    for i in range(2):
+        value, gradient = jax.value_and_grad(ssim)(a[i], b[i])
+        assert float(values[i]) == pytest.approx(float(value), abs=1e-6)
+        np.testing.assert_allclose(gradients[i], gradient, atol=1e-7)
