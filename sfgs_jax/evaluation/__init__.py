@@ -1,7 +1,15 @@
 """How good a run is: trajectory and image metrics with named protocols, and the report page."""
 
+from sfgs_jax.evaluation.accuracy import accuracy as accuracy
+from sfgs_jax.evaluation.accuracy import area_under_curve as area_under_curve
 from sfgs_jax.evaluation.alignment import Alignment as Alignment
 from sfgs_jax.evaluation.alignment import align_points as align_points
+from sfgs_jax.evaluation.homography import corner_error as corner_error
+from sfgs_jax.evaluation.homography import correct_matches as correct_matches
+from sfgs_jax.evaluation.homography import estimate_homography as estimate_homography
+from sfgs_jax.evaluation.homography import matching_score as matching_score
+from sfgs_jax.evaluation.homography import repeatability as repeatability
+from sfgs_jax.evaluation.homography import transfer as transfer
 from sfgs_jax.evaluation.image_metrics import PROTOCOLS as PROTOCOLS
 from sfgs_jax.evaluation.image_metrics import Protocol as Protocol
 from sfgs_jax.evaluation.image_metrics import frames_of as frames_of
@@ -12,6 +20,10 @@ from sfgs_jax.evaluation.perceptual import LpipsWeights as LpipsWeights
 from sfgs_jax.evaluation.perceptual import default_lpips_path as default_lpips_path
 from sfgs_jax.evaluation.perceptual import load_lpips as load_lpips
 from sfgs_jax.evaluation.perceptual import lpips as lpips
+from sfgs_jax.evaluation.relative_pose import EstimatedMotion as EstimatedMotion
+from sfgs_jax.evaluation.relative_pose import PoseError as PoseError
+from sfgs_jax.evaluation.relative_pose import estimate_motion as estimate_motion
+from sfgs_jax.evaluation.relative_pose import pose_error as pose_error
 from sfgs_jax.evaluation.report import write_report as write_report
 from sfgs_jax.evaluation.run import evaluate_run as evaluate_run
 from sfgs_jax.evaluation.trajectory_metrics import Ate as Ate
