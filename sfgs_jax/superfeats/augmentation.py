@@ -1,0 +1,121 @@
+"""Changes of view, light and sight that make training pairs out of single images (NumPy and OpenCV)."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """How far two views of the same image may differ."""
+
+    max_rotation_deg: float = 40.0
+    scale: tuple[float, float] = (0.6, 1.6)
+    """Of the second view to the first."""
+
+    perspective: float = 0.18
+    """Shift of the corners, share of the side."""
+
+    translation: float = 0.15
+    """Shift of the whole view, share of the side."""
+
+
+def random_homography(
+    rng: np.random.Generator,
+    size: int,
+    config: ViewConfig = ViewConfig(),  # noqa: B008
+) -> Float64[np.ndarray, "3 3"]:
+    """A homography of a size x size image onto another: rotation, scale, shift, and corners moved about."""
+    # Most pairs turn little: a camera held upright is the common case.
+    angle = np.deg2rad(config.max_rotation_deg) * rng.uniform(-1, 1) ** 3
+    scale = np.exp(rng.uniform(*np.log(config.scale)))
+    shift = rng.uniform(-config.translation, config.translation, 2) * size
+    centre = (size - 1) / 2
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    moved = corners @ turn.T * scale + rng.uniform(-1, 1, (4, 2)) * config.perspective * size
+    source = (corners + centre).astype(np.float32)
+    target = (moved + centre + shift).astype(np.float32)
+    return cv2.getPerspectiveTransform(source, target)
+
+
+def warp(
+    image: Float32[np.ndarray, "h w"], H_view_image: Float64[np.ndarray, "3 3"], size: int
+) -> Float32[np.ndarray, "s s"]:
+    """The image as seen by a homography; beyond its border it is mirrored."""
+    # Where the view shrinks the image, a blur first keeps it from aliasing.
+    shrink = 1.0 / np.sqrt(max(abs(np.linalg.det(H_view_image[:2, :2])), 1e-6))
+    if shrink > 1.2:
+        image = cv2.GaussianBlur(image, (0, 0), 0.4 * shrink)
+    return cv2.warpPerspective(
+        image, H_view_image, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
+    )
+
+
+def relight(
+    rng: np.random.Generator, image: Float32[np.ndarray, "s s"], strength: float = 1.0
+) -> Float32[np.ndarray, "s s"]:
+    """Gamma, contrast, brightness, a soft shadow, blur and noise, each at random; values stay in [0, 1]."""
+    size = image.shape[0]
+    image = image ** np.float32(np.exp(strength * rng.uniform(-0.5, 0.5)))
+    image = (image - 0.5) * np.float32(np.exp(strength * rng.uniform(-0.4, 0.3))) + 0.5
+    image = image + np.float32(strength * rng.uniform(-0.15, 0.15))
+    if rng.random() < 0.3 * strength:
+        coarse = rng.uniform(0.5, 1.1, (4, 4)).astype(np.float32)
+        image = image * cv2.resize(coarse, (size, size), interpolation=cv2.INTER_CUBIC)
+    blurred = rng.random()
+    if blurred < 0.15 * strength:
+        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.5, 1.5))
+    elif blurred < 0.3 * strength:
+        image = _motion_blur(rng, image)
+    noise = np.float32(rng.uniform(0, 0.03) * strength)
+    image = image + noise * rng.standard_normal(image.shape, dtype=np.float32)
+    return np.clip(image, 0, 1)
+
+
+def occlude(
+    rng: np.random.Generator, image: Float32[np.ndarray, "s s"]
+) -> tuple[Float32[np.ndarray, "s s"], np.ndarray]:
+    """Covers parts of an image with rectangles, ellipses and polygons.
+
+    Returns:
+        the image, and a mask that is True where it was covered.
+    """
+    size = image.shape[0]
+    mask = np.zeros(image.shape, np.uint8)
+    image = image.copy()
+    for _ in range(rng.integers(0, 4)):
+        shape = np.zeros_like(mask)
+        centre = rng.integers(0, size, 2)
+        extent = rng.integers(size // 32 + 1, size // 6 + 2, 2)
+        kind = rng.integers(3)
+        if kind == 0:
+            low, high = centre - extent, centre + extent
+            cv2.rectangle(shape, (int(low[0]), int(low[1])), (int(high[0]), int(high[1])), 1, -1)
+        elif kind == 1:
+            axes = (int(extent[0]), int(extent[1]))
+            cv2.ellipse(
+                shape, (int(centre[0]), int(centre[1])), axes, float(rng.uniform(0, 180)), 0, 360, 1, -1
+            )
+        else:
+            corners = centre + rng.uniform(-1, 1, (5, 2)) * extent
+            cv2.fillPoly(shape, [cv2.convexHull(corners.astype(np.int32))], 1)
+        inside = shape > 0
+        fill = rng.uniform(0, 1) + 0.1 * rng.standard_normal(int(inside.sum()))
+        image[inside] = np.clip(fill, 0, 1).astype(np.float32)
+        mask |= shape
+    return image, mask > 0
+
+
+def _motion_blur(rng: np.random.Generator, image: Float32[np.ndarray, "s s"]) -> Float32[np.ndarray, "s s"]:
+    length = int(rng.integers(3, 10))
+    kernel = np.zeros((length, length), np.float32)
+    angle = rng.uniform(0, np.pi)
+    reach = (length - 1) / 2 * np.array([np.cos(angle), np.sin(angle)])
+    start, end = (length - 1) / 2 - reach, (length - 1) / 2 + reach
+    cv2.line(
+        kernel, tuple(np.round(start).astype(int).tolist()), tuple(np.round(end).astype(int).tolist()), 1
+    )
+    return cv2.filter2D(image, -1, kernel / kernel.sum())

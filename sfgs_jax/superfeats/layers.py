@@ -1,0 +1,123 @@
+"""Convolutions, with and without batch normalisation."""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+_MOMENTUM = 0.99
+_VARIANCE_FLOOR = 1e-5
+
+
+class Convolution(eqx.Module):
+    """A convolution with a bias; `weight` is (height, width, inputs, outputs)."""
+
+    weight: Float[Array, "kh kw i o"]
+    bias: Float[Array, " o"]
+
+
+class NormalisedConvolution(eqx.Module):
+    """A convolution followed by batch normalisation: what is trained, before it is folded.
+
+    `mean` and `variance` follow the batches seen; they are used by nothing but `fold`.
+    """
+
+    weight: Float[Array, "kh kw i o"]
+    scale: Float[Array, " o"]
+    offset: Float[Array, " o"]
+    mean: Float[Array, " o"]
+    variance: Float[Array, " o"]
+
+
+Layer: TypeAlias = Convolution | NormalisedConvolution
+Apply: TypeAlias = Callable[..., Float[Array, "b h w o"]]
+"""How a hidden layer acts: `apply(layer, x, stride=1)`, its non-linearity included."""
+
+
+def initialise(key: PRNGKeyArray, size: int, inputs: int, outputs: int) -> NormalisedConvolution:
+    """He-normal weights; a normalisation that changes nothing yet."""
+    fan_in = size * size * inputs
+    weight = jax.random.normal(key, (size, size, inputs, outputs)) * jnp.sqrt(2.0 / fan_in)
+    return NormalisedConvolution(
+        weight, jnp.ones(outputs), jnp.zeros(outputs), jnp.zeros(outputs), jnp.ones(outputs)
+    )
+
+
+def initialise_linear(key: PRNGKeyArray, inputs: int, outputs: int) -> Convolution:
+    """A 1x1 layer without normalisation, for the outputs of the network."""
+    weight = jax.random.normal(key, (1, 1, inputs, outputs)) * jnp.sqrt(1.0 / inputs)
+    return Convolution(weight, jnp.zeros(outputs))
+
+
+def convolve(
+    weight: Float[Array, "kh kw i o"], x: Float[Array, "b h w i"], *, stride: int = 1
+) -> Float[Array, "b h2 w2 o"]:
+    """A convolution whose output has 1/stride of the input's size, padded by zeros around the image."""
+    pad = weight.shape[0] // 2
+    return lax.conv_general_dilated(
+        x, weight, (stride, stride), [(pad, pad), (pad, pad)], dimension_numbers=("NHWC", "HWIO", "NHWC")
+    )
+
+
+def apply_folded(layer: Layer, x: Float[Array, "b h w i"], *, stride: int = 1) -> Float[Array, "b h2 w2 o"]:
+    """Convolution and ReLU of a folded network.
+
+    The SiLU of YOLOv8's blocks costs an eighth of the whole forward pass on a CPU.
+    """
+    assert isinstance(layer, Convolution), "fold the network first"
+    return jax.nn.relu(convolve(layer.weight, x, stride=stride) + layer.bias)
+
+
+class BatchStatistics:
+    """Convolution, batch normalisation and ReLU, remembering each layer's statistics for `updated`.
+
+    The mean runs over the whole batch, also when the batch lies on several devices.
+    """
+
+    def __init__(self) -> None:
+        self._seen: dict[int, tuple[Array, Array]] = {}
+
+    def __call__(
+        self, layer: Layer, x: Float[Array, "b h w i"], *, stride: int = 1
+    ) -> Float[Array, "b h2 w2 o"]:
+        assert isinstance(layer, NormalisedConvolution), "a folded network has no statistics"
+        y = convolve(layer.weight, x, stride=stride)
+        mean = y.mean((0, 1, 2))
+        variance = y.var((0, 1, 2))
+        self._seen[id(layer)] = (mean, variance)
+        gain = layer.scale * lax.rsqrt(variance + _VARIANCE_FLOOR)
+        return jax.nn.relu((y - mean) * gain + layer.offset)
+
+    def updated(self, network):
+        """The network with its running statistics moved towards those of this batch."""
+
+        def update(layer):
+            if not isinstance(layer, NormalisedConvolution):
+                return layer
+            mean, variance = lax.stop_gradient(self._seen[id(layer)])
+            return eqx.tree_at(
+                lambda l: (l.mean, l.variance),
+                layer,
+                (
+                    _MOMENTUM * layer.mean + (1 - _MOMENTUM) * mean,
+                    _MOMENTUM * layer.variance + (1 - _MOMENTUM) * variance,
+                ),
+            )
+
+        return jax.tree.map(update, network, is_leaf=lambda node: isinstance(node, NormalisedConvolution))
+
+
+def fold(network):
+    """The same network with each normalisation worked into its convolution."""
+
+    def folded(layer):
+        if not isinstance(layer, NormalisedConvolution):
+            return layer
+        gain = layer.scale * lax.rsqrt(layer.variance + _VARIANCE_FLOOR)
+        return Convolution(layer.weight * gain, layer.offset - layer.mean * gain)
+
+    return jax.tree.map(folded, network, is_leaf=lambda node: isinstance(node, NormalisedConvolution))

@@ -1,0 +1,121 @@
+"""Losses that SuperFeats is trained with, each over one pair of images or one image.
+
+`heat_loss`, `contrastive_keypoint_loss` and `hinge_descriptor_loss` are those of SFGS-SLAM (Wang and Deng,
+2025), section 3.1. `dual_softmax_loss` is the descriptor loss of LoFTR and XFeat; `imitation_loss` and
+`reliability_loss` take a teacher's outputs as labels.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sfgs_jax.superfeats.network import CELL
+
+_TINY = 1e-6
+
+
+def heat_loss(
+    logits: Float[Array, "h w 65"], labels: Float[Array, "h w 65"], weights: Float[Array, "h w"]
+) -> Float[Array, ""]:
+    """Binary cross-entropy of a heat map against labels in [0, 1], summed over a cell, mean over cells.
+
+    L_BCE = -[q log p + (1 - q) log(1 - p)] with p the softmax of a cell's 64 positions and its dustbin.
+    """
+    log_p = jax.nn.log_softmax(logits)
+    log_not_p = jnp.log1p(-jnp.minimum(jnp.exp(log_p), 1 - _TINY))
+    entropy = -(labels * log_p + (1 - labels) * log_not_p).sum(-1)
+    return _weighted_mean(entropy, weights)
+
+
+def keypoint_positions(logits: Float[Array, "h w 65"]) -> Float[Array, "h w 2"]:
+    """The expected pixel (u, v) of each cell's keypoint, given that it has one."""
+    h, w, _ = logits.shape
+    p = jax.nn.softmax(logits[..., :-1]).reshape(h, w, CELL, CELL)
+    steps = jnp.arange(CELL, dtype=logits.dtype)
+    u = (p.sum(2) * steps).sum(-1) + CELL * jnp.arange(w, dtype=logits.dtype)
+    v = (p.sum(3) * steps).sum(-1) + CELL * jnp.arange(h, dtype=logits.dtype)[:, None]
+    return jnp.stack([u, v], -1)
+
+
+def contrastive_keypoint_loss(
+    positions: Float[Array, "n 2"],
+    counterparts: Float[Array, "n 2"],
+    same: Bool[Array, " n"],
+    weights: Float[Array, " n"],
+    *,
+    margin: float = 1.0,
+) -> Float[Array, ""]:
+    """L_con = y d² + (1 - y) max(0, margin - d)², d the distance of two keypoints in cells.
+
+    Args:
+        positions: keypoints found in the second image, pixels.
+        counterparts: where keypoints of the first image come to lie in the second, pixels.
+        same: whether the two are the same point (y).
+        weights: of the pairs; 0 leaves one out.
+        margin: m_con, cells.
+    """
+    squared = jnp.square((positions - counterparts) / CELL).sum(-1)
+    d = jnp.sqrt(squared + _TINY)
+    loss = jnp.where(same, squared, jnp.square(jnp.maximum(margin - d, 0)))
+    return _weighted_mean(loss, weights)
+
+
+def hinge_descriptor_loss(
+    a: Float[Array, "n d"],
+    b: Float[Array, "n d"],
+    positions_a_in_b: Float[Array, "n 2"],
+    positions_b: Float[Array, "n 2"],
+    valid: Bool[Array, " n"],
+    *,
+    positive_weight: float = 1.3,
+    positive_radius: float = 7.5,
+    positive_margin: float = 1.0,
+    negative_margin: float = 0.2,
+) -> Float[Array, ""]:
+    """L_desc of the paper over all pairs of n descriptors of unit length.
+
+    Pairs within `positive_radius` (σ, pixels) of each other are positives, λ_d max(0, m_pos - s), all
+    others negatives, max(0, s - m_neg), with s their dot product; each kind is averaged by itself.
+    """
+    distance = jnp.square(positions_a_in_b[:, None] - positions_b[None]).sum(-1)
+    both = (valid[:, None] & valid[None]).astype(a.dtype)
+    positive = both * (distance < positive_radius**2)
+    similarity = a @ b.T
+    pull = _weighted_mean(jnp.maximum(positive_margin - similarity, 0), positive)
+    push = _weighted_mean(jnp.maximum(similarity - negative_margin, 0), both - positive)
+    return positive_weight * pull + push
+
+
+def dual_softmax_loss(
+    a: Float[Array, "n d"], b: Float[Array, "n d"], valid: Bool[Array, " n"], *, temperature: float = 0.1
+) -> Float[Array, ""]:
+    """Negative log probability of matching a_i with b_i, in both directions; unit-length descriptors."""
+    logits = a @ b.T / temperature
+    absent = jnp.asarray(-1e4, logits.dtype)
+    forward = jnp.diagonal(jax.nn.log_softmax(jnp.where(valid[None], logits, absent), axis=1))
+    backward = jnp.diagonal(jax.nn.log_softmax(jnp.where(valid[:, None], logits, absent), axis=0))
+    return -_weighted_mean(forward + backward, valid.astype(a.dtype))
+
+
+def imitation_loss(
+    descriptors: Float[Array, "h w d"], labels: Float[Array, "h w d"], weights: Float[Array, "h w"]
+) -> Float[Array, ""]:
+    """One minus the cosine between descriptors and a teacher's."""
+    return _weighted_mean(1 - (unit(descriptors) * unit(labels)).sum(-1), weights)
+
+
+def reliability_loss(
+    logits: Float[Array, "h w"], labels: Float[Array, "h w"], weights: Float[Array, "h w"]
+) -> Float[Array, ""]:
+    """Binary cross-entropy of reliability against labels in [0, 1]."""
+    entropy = jnp.logaddexp(logits, 0.0) - labels * logits
+    return _weighted_mean(entropy, weights)
+
+
+def unit(x: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
+    """Vectors scaled to unit length; zero stays zero."""
+    return x * jax.lax.rsqrt(jnp.square(x).sum(-1, keepdims=True) + _TINY**2)
+
+
+def _weighted_mean(x: Array, weights: Array) -> Array:
+    return (x * weights).sum() / jnp.maximum(weights.sum(), 1.0)

@@ -1,0 +1,193 @@
+"""The SuperFeats network: a description branch and a detection branch over one grey image.
+
+After SFGS-SLAM (Wang and Deng, 2025), section 3.1. Everything runs at a quarter of the image's resolution
+or below, where convolutions have enough channels to be fast.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from sfgs_jax.superfeats.layers import (
+    Apply,
+    Convolution,
+    Layer,
+    apply_folded,
+    convolve,
+    initialise,
+    initialise_linear,
+)
+
+CELL = 8
+"""Pixels along the side of a cell: descriptors and detections are computed at 1/8 of the image's size."""
+
+STRIDE = 32
+"""The network takes images whose sides are multiples of this."""
+
+DESCRIPTOR_SIZE = 64
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Widths of the network."""
+
+    channels: tuple[int, int, int, int] = (16, 32, 64, 96)
+    """Of the description branch at 1/4, 1/8, 1/16 and 1/32."""
+
+    bottlenecks: tuple[int, int, int, int] = (1, 1, 2, 1)
+    """In the C2f block of each of these levels."""
+
+    context: int = 24
+    """Channels of the convolutional module of the detection branch."""
+
+
+class C2f(eqx.Module):
+    """The cross-stage-partial block of YOLOv8: half of the channels pass through a chain of residual
+    bottlenecks, and every stage's output is kept and merged."""
+
+    split: Layer
+    bottlenecks: tuple[tuple[Layer, Layer], ...]
+    merge: Layer
+
+    def __call__(self, x: Float[Array, "b h w c"], apply: Apply) -> Float[Array, "b h w c"]:
+        x = apply(self.split, x)
+        parts = list(jnp.split(x, 2, axis=-1))
+        for first, second in self.bottlenecks:
+            parts.append(parts[-1] + apply(second, apply(first, parts[-1])))
+        return apply(self.merge, jnp.concatenate(parts, axis=-1))
+
+
+class Level(eqx.Module):
+    """A convolution, to the next resolution, and its C2f block."""
+
+    reduce: Layer
+    block: C2f
+
+
+class Fusion(eqx.Module):
+    """Brings a coarse level to the width of the next finer one and merges the two."""
+
+    project: Layer
+    merge: Layer
+
+    def __call__(
+        self, fine: Float[Array, "b h w c"], coarse: Float[Array, "b h2 w2 d"], apply: Apply
+    ) -> Float[Array, "b h w c"]:
+        coarse = apply(self.project, coarse)
+        return apply(self.merge, fine + _double(coarse))
+
+
+class Network(eqx.Module):
+    """Parameters of SuperFeats, trained or folded."""
+
+    levels: tuple[Level, Level, Level, Level]
+    fusions: tuple[Fusion, Fusion]
+    describe: Convolution
+    rely: Convolution
+    cell_layers: tuple[Layer, Layer]
+    context: tuple[Layer, Layer, Layer]
+    detect: Convolution
+
+
+class DenseFeatures(eqx.Module):
+    """What the network says of each 8x8 cell.
+
+    Attributes:
+        logits: (B, H/8, W/8, 65) of the keypoint's place in the cell, row by row, and of there being none.
+        descriptors: (B, H/8, W/8, 64), of no particular length.
+        reliability: (B, H/8, W/8) logit of the descriptors there finding their counterpart.
+    """
+
+    logits: Float[Array, "b h w 65"]
+    descriptors: Float[Array, "b h w 64"]
+    reliability: Float[Array, "b h w"]
+
+
+def initialise_network(key: PRNGKeyArray, config: NetworkConfig = NetworkConfig()) -> Network:  # noqa: B008
+    """A network with random weights, to be trained."""
+    keys = iter(jax.random.split(key, 64))
+
+    def layer(size: int, inputs: int, outputs: int) -> Layer:
+        return initialise(next(keys), size, inputs, outputs)
+
+    def c2f(channels: int, bottlenecks: int) -> C2f:
+        half = channels // 2
+        chain = tuple((layer(3, half, half), layer(3, half, half)) for _ in range(bottlenecks))
+        return C2f(layer(1, channels, channels), chain, layer(1, half * (2 + bottlenecks), channels))
+
+    inputs = (16, *config.channels[:3])
+    levels = tuple(
+        Level(layer(3, before, channels), c2f(channels, bottlenecks))
+        for before, channels, bottlenecks in zip(inputs, config.channels, config.bottlenecks, strict=True)
+    )
+    _, c8, c16, c32 = config.channels
+    fusions = (
+        Fusion(layer(1, c32, c16), layer(3, c16, c16)),
+        Fusion(layer(1, c16, c8), layer(3, c8, DESCRIPTOR_SIZE)),
+    )
+    pixels = CELL * CELL
+    return Network(
+        levels=levels,
+        fusions=fusions,
+        describe=initialise_linear(next(keys), DESCRIPTOR_SIZE, DESCRIPTOR_SIZE),
+        rely=initialise_linear(next(keys), DESCRIPTOR_SIZE, 1),
+        cell_layers=(layer(1, pixels, pixels), layer(1, pixels, pixels)),
+        context=(
+            layer(1, pixels, config.context),
+            layer(3, config.context, config.context),
+            layer(1, config.context, pixels),
+        ),
+        detect=initialise_linear(next(keys), pixels, pixels + 1),
+    )
+
+
+def normalise(images: Float[Array, "b h w"]) -> Float[Array, "b h w"]:
+    """Each image with zero mean and unit standard deviation."""
+    centred = images - images.mean((1, 2), keepdims=True)
+    return centred * jax.lax.rsqrt(jnp.square(centred).mean((1, 2), keepdims=True) + 1e-5)
+
+
+def forward(network: Network, images: Float[Array, "b h w"], apply: Apply = apply_folded) -> DenseFeatures:
+    """Runs both branches.
+
+    Args:
+        network: folded, unless `apply` is a `BatchStatistics`.
+        images: normalised grey images whose sides are multiples of 32.
+        apply: how hidden layers act.
+    """
+    x = _space_to_depth(images[..., None], 4)
+    outputs = []
+    for index, level in enumerate(network.levels):
+        x = level.block(apply(level.reduce, x, stride=1 if index == 0 else 2), apply)
+        outputs.append(x)
+    _, x8, x16, x32 = outputs
+    x16 = network.fusions[0](x16, x32, apply)
+    x8 = network.fusions[1](x8, x16, apply)
+
+    cells = _space_to_depth(images[..., None], CELL)
+    for layer in network.cell_layers:
+        cells = apply(layer, cells)
+    narrow, look_around, widen = network.context
+    cells = cells + apply(widen, apply(look_around, apply(narrow, cells)))
+    return DenseFeatures(
+        logits=_linear(network.detect, cells),
+        descriptors=_linear(network.describe, x8),
+        reliability=_linear(network.rely, x8)[..., 0],
+    )
+
+
+def _linear(layer: Convolution, x: Float[Array, "b h w i"]) -> Float[Array, "b h w o"]:
+    return convolve(layer.weight, x) + layer.bias
+
+
+def _space_to_depth(x: Float[Array, "b h w c"], size: int) -> Float[Array, "b h2 w2 d"]:
+    b, h, w, c = x.shape
+    x = x.reshape(b, h // size, size, w // size, size, c)
+    return x.transpose(0, 1, 3, 2, 4, 5).reshape(b, h // size, w // size, size * size * c)
+
+
+def _double(x: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 c"]:
+    return jnp.repeat(jnp.repeat(x, 2, axis=1), 2, axis=2)

@@ -1,0 +1,166 @@
+"""One training step of SuperFeats, a pure function of its state and a batch."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float, Int
+
+from sfgs_jax.superfeats.layers import BatchStatistics
+from sfgs_jax.superfeats.losses import (
+    contrastive_keypoint_loss,
+    dual_softmax_loss,
+    heat_loss,
+    hinge_descriptor_loss,
+    imitation_loss,
+    keypoint_positions,
+    reliability_loss,
+    unit,
+)
+from sfgs_jax.superfeats.network import CELL, DenseFeatures, Network, forward
+from sfgs_jax.superfeats.sampling import sample
+
+
+class Batch(eqx.Module):
+    """B pairs of views with a teacher's labels and known correspondences; host or device arrays.
+
+    Attributes:
+        images: (B, 2, S, S) normalised grey images.
+        heat: (B, 2, S/8, S/8, 65) probabilities of the keypoint's place in each cell, and of there being none.
+        descriptors: (B, 2, S/8, S/8, 64) a teacher's descriptors, of unit length.
+        reliability: (B, 2, S/8, S/8) in [0, 1].
+        labelled: (B, 2, S/8, S/8) weight of each cell's labels.
+        points: (B, 2, N, 2) pixels (u, v) of the same points in both views.
+        seen: (B, N) which points are seen in both.
+    """
+
+    images: Float[Array, "b 2 s s"]
+    heat: Float[Array, "b 2 c c 65"]
+    descriptors: Float[Array, "b 2 c c d"]
+    reliability: Float[Array, "b 2 c c"]
+    labelled: Float[Array, "b 2 c c"]
+    points: Float[Array, "b 2 n 2"]
+    seen: Bool[Array, "b n"]
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the losses; a weight of zero leaves one out."""
+
+    heat: float = 1.0
+    contrast: float = 0.2
+    hinge: float = 0.0
+    dual_softmax: float = 0.5
+    imitation: float = 4.0
+    reliability: float = 0.2
+
+
+class TrainingState(eqx.Module):
+    """Everything a training run needs to go on where it stopped."""
+
+    network: Network
+    optimiser: optax.OptState
+    step: Int[Array, ""]
+
+
+def initial_state(network: Network, optimiser: optax.GradientTransformation) -> TrainingState:
+    """The state before the first step."""
+    return TrainingState(network, optimiser.init(eqx.filter(network, eqx.is_array)), jnp.zeros((), jnp.int32))
+
+
+def losses(
+    dense: DenseFeatures, batch: Batch, weights: LossWeights
+) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+    """The weighted sum of all losses, and figures by name: each loss, and the share of points whose nearest
+    neighbour among the other view's points is the right one (`accuracy`)."""
+    count = batch.images.shape[0]
+    logits, descriptors, reliability = (
+        x.reshape(count, 2, *x.shape[1:]) for x in (dense.logits, dense.descriptors, dense.reliability)
+    )
+    sampled = unit(jax.vmap(jax.vmap(sample))(descriptors, batch.points))
+    a, b = sampled[:, 0], sampled[:, 1]
+    per_view = partial(_mean_over, axes=2)
+    per_pair = partial(_mean_over, axes=1)
+    figures = {
+        "heat": per_view(heat_loss, logits, batch.heat, batch.labelled),
+        "contrast": per_pair(_contrast, logits, batch.points, batch.seen),
+        "hinge": per_pair(hinge_descriptor_loss, a, b, batch.points[:, 1], batch.points[:, 1], batch.seen),
+        "dual_softmax": per_pair(dual_softmax_loss, a, b, batch.seen),
+        "imitation": per_view(imitation_loss, descriptors, batch.descriptors, batch.labelled),
+        "reliability": per_view(reliability_loss, reliability, batch.reliability, batch.labelled),
+    }
+    total = sum(
+        (getattr(weights, name) * value for name, value in figures.items() if getattr(weights, name) > 0),
+        start=jnp.zeros(()),
+    )
+    return total, {"loss": total, **figures, "accuracy": per_pair(_accuracy, a, b, batch.seen)}
+
+
+@partial(jax.jit, static_argnames=("optimiser", "weights"), donate_argnums=0)
+def train_step(
+    state: TrainingState,
+    batch: Batch,
+    *,
+    optimiser: optax.GradientTransformation,
+    weights: LossWeights,
+) -> tuple[TrainingState, dict[str, Float[Array, ""]]]:
+    """One step of the optimiser. The state is used up.
+
+    With a batch laid out over several devices along its first axis, and the state on all of them, it is
+    data-parallel training: losses and batch statistics are those of the whole batch.
+    """
+
+    def loss(network: Network):
+        statistics = BatchStatistics()
+        dense = forward(network, _views(batch), statistics)
+        total, figures = losses(dense, batch, weights)
+        return total, (figures, statistics.updated(network))
+
+    gradient, (figures, network) = jax.grad(loss, has_aux=True)(state.network)
+    updates, optimiser_state = optimiser.update(gradient, state.optimiser, state.network)
+    # The running statistics have no gradient: what was updated are the weights alone.
+    return TrainingState(optax.apply_updates(network, updates), optimiser_state, state.step + 1), figures
+
+
+@partial(jax.jit, static_argnames="weights")
+def evaluate(network: Network, batch: Batch, *, weights: LossWeights) -> dict[str, Float[Array, ""]]:
+    """The figures of a folded network."""
+    return losses(forward(network, _views(batch)), batch, weights)[1]
+
+
+def _views(batch: Batch) -> Float[Array, "b2 s s"]:
+    return batch.images.reshape(-1, *batch.images.shape[2:])
+
+
+def _mean_over(function, *arguments: Array, axes: int) -> Float[Array, ""]:
+    for _ in range(axes):
+        function = jax.vmap(function)
+    return function(*arguments).mean()
+
+
+def _contrast(
+    logits: Float[Array, "2 c c 65"], points: Float[Array, "2 n 2"], seen: Bool[Array, " n"]
+) -> Float[Array, ""]:
+    """Keypoints of the first view's cells against those of the cells where the second view shows them.
+
+    Each keypoint is paired with its counterpart, and with the next point's as a pair that is not the same.
+    """
+    found = jax.vmap(keypoint_positions)(logits)
+    cells = jnp.clip((points / CELL).astype(jnp.int32), 0, logits.shape[1] - 1)
+    in_a, in_b = (found[view, cells[view, :, 1], cells[view, :, 0]] for view in (0, 1))
+    # Within a cell the change of view is a shift: carry the first view's keypoint over by it.
+    counterparts = points[1] + (in_a - points[0])
+    others = jnp.roll(in_b, 1, axis=0)
+    weights = seen.astype(logits.dtype)
+    same = contrastive_keypoint_loss(in_b, counterparts, jnp.ones_like(seen), weights)
+    other = contrastive_keypoint_loss(others, counterparts, jnp.zeros_like(seen), weights)
+    return same + other
+
+
+def _accuracy(a: Float[Array, "n d"], b: Float[Array, "n d"], seen: Bool[Array, " n"]) -> Float[Array, ""]:
+    similarity = jnp.where(seen[None], a @ b.T, -2.0)
+    right = jnp.diagonal(similarity) >= similarity.max(axis=1)
+    return (right & seen).sum() / jnp.maximum(seen.sum(), 1)
