@@ -18,7 +18,10 @@ class Line:
     name: str = "line"
     dataset: str = "folder"
     notes: tuple[str, ...] = ()
-    camera: Camera = Camera(1.0, 1.0, 0.0, 0.0, width=1, height=1)
+
+    @property
+    def camera(self) -> Camera:
+        return Camera(1.0, 1.0, 0.0, 0.0, width=1, height=1)
 
     @property
     def timestamps(self) -> np.ndarray:
@@ -41,13 +44,13 @@ def poses() -> np.ndarray:
 
 def test_pairs_within_limits_by_gap_and_frame():
     recording = Line(Trajectory(np.arange(20) / 30, poses()))
-    pairs = recording_pairs(recording, gaps=(1, 2, 4, 8), stride=5, max_distance=0.3, max_angle_deg=45)
+    pairs = recording_pairs(recording, gaps=(1, 2, 4, 8), stride=5, max_distance=0.3, max_angle_deg=45.0)
     # One frame apart is too near at 5 cm, eight too far at 40.
     assert [(pair.index_a, pair.index_b) for pair in pairs] == [
         (a, a + gap) for gap in (2, 4) for a in range(0, 20 - gap, 5)
     ]
     assert pairs[0].gap == 2
-    turned = recording_pairs(recording, gaps=(2, 4), stride=5, max_angle_deg=5)
+    turned = recording_pairs(recording, gaps=(2, 4), stride=5, max_angle_deg=5.0)
     assert {pair.gap for pair in turned} == {2}
     pair = pairs[1]
     point = np.array([0.3, -0.2, 2.0, 1])
