@@ -12,7 +12,7 @@ from sfgs_jax.geometry import Camera, Frame, InputError, Trajectory
 
 @dataclass(frozen=True)
 class Line:
-    """A recording of 20 frames: 5 cm to the right and 2 degrees about the y axis from one to the next."""
+    """A recording of 20 frames: 6 cm to the right and 2 degrees about the y axis from one to the next."""
 
     ground_truth: Trajectory | None
     name: str = "line"
@@ -38,14 +38,14 @@ def poses() -> np.ndarray:
     result = np.tile(np.eye(4), (20, 1, 1))
     for i, pose in enumerate(result):
         pose[:3, :3] = cv2.Rodrigues(np.array([0, np.radians(2 * i), 0]))[0]
-        pose[0, 3] = 0.05 * i
+        pose[0, 3] = 0.06 * i
     return result
 
 
 def test_pairs_within_limits_by_gap_and_frame():
     recording = Line(Trajectory(np.arange(20) / 30, poses()))
     pairs = recording_pairs(recording, gaps=(1, 2, 4, 8), stride=5, max_distance=0.3, max_angle_deg=45.0)
-    # One frame apart is too near at 5 cm, eight too far at 40.
+    # One frame apart is too near at 6 cm, eight too far at 48.
     assert [(pair.index_a, pair.index_b) for pair in pairs] == [
         (a, a + gap) for gap in (2, 4) for a in range(0, 20 - gap, 5)
     ]
