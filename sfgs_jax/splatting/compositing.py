@@ -27,6 +27,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Float, Int
 
 from sfgs_jax.splatting.binning import TileLists, tile_grid
@@ -170,8 +171,11 @@ def _to_tiles(image: Array, blocks: _Blocks, tile_size: int) -> Array:
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3, 4))
 def composite(
     table: Float[Array, "n d"], lists: TileLists, width: int, height: int, tile_size: int
-) -> Float[Array, "{height} {width} d-5"]:
+) -> tuple[Float[Array, "{height} {width} d-5"], Int[Array, "{height} {width}"]]:
     """Features of the Gaussians weighted by what the camera sees of them.
+
+    Reverse-mode differentiable in `table`. Under `vmap`, views are drawn one after the other: loops that
+    end early for one view would otherwise all run as long as the longest.
 
     Args:
         table: (N, 6 + C) centre u, v, whitening p, q, r, log opacity, then C features.
@@ -181,27 +185,47 @@ def composite(
         tile_size: pixels; static.
 
     Returns:
-        (H, W, C + 1) sums of weights times features, and last the sums of the weights.
+        image: (H, W, C + 1) sums of weights times features, and last the sums of the weights.
+        passed: (H, W) how many Gaussians of a pixel's list let more than half of the light through, all
+            before them included; what follows those is the one in which half of the light is lost.
     """
     return _forward(table, lists, width, height, tile_size)[0]
 
 
-def _forward(table: Array, lists: TileLists, width: int, height: int, tile_size: int) -> tuple[Array, tuple]:
+def _forward(
+    table: Array, lists: TileLists, width: int, height: int, tile_size: int
+) -> tuple[tuple[Array, Array], tuple]:
+    draw = sequential_vmap(partial(_draw, width=width, height=height, tile_size=tile_size))
+    image, passed, blocks = draw(table, lists)
+    return (image, passed), (table, lists, blocks, image)
+
+
+def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotangents: tuple) -> tuple:
+    walk = sequential_vmap(partial(_walk, width=width, height=height, tile_size=tile_size))
+    return walk(*residuals, cotangents[0]), None
+
+
+composite.defvjp(_forward, _backward)
+
+
+def _draw(
+    table: Array, lists: TileLists, *, width: int, height: int, tile_size: int
+) -> tuple[Array, Array, _Blocks]:
     columns, _ = tile_grid(width, height, tile_size)
     blocks = _make_blocks(lists, columns, tile_size, table.dtype)
     count, size = blocks.counts.shape
     pixels, channels = tile_size**2, table.shape[1] - 5
     indices = partial(_indices, lists, blocks, past=table.shape[0])
 
-    def draw_block(block: Array, tiled: Array) -> Array:
+    def draw_block(block: Array, images: tuple[Array, Array]) -> tuple[Array, Array]:
         longest = jnp.max(blocks.counts[block])
 
-        def more(state: tuple[Array, Array, Array, Array]) -> Array:
-            step, _, transmittance, _ = state
+        def more(state: tuple[Array, ...]) -> Array:
+            step, _, transmittance, _, _ = state
             return (step * _CHUNK < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
 
-        def draw(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-            step, index, transmittance, out = state
+        def draw(state: tuple[Array, ...]) -> tuple[Array, ...]:
+            step, index, transmittance, out, passed = state
             chunk = _fetch(table, index, blocks.centres[block])
             alphas = _alphas(chunk, tile_size)
             features = jnp.concatenate([chunk.features, jnp.ones_like(chunk.features[..., :1])], axis=-1)
@@ -210,8 +234,9 @@ def _forward(table: Array, lists: TileLists, width: int, height: int, tile_size:
                 after = transmittance * (1 - alphas[:, i])
                 weight = jnp.where(after >= MIN_TRANSMITTANCE, transmittance * alphas[:, i], 0)
                 out = out + features[i] * weight
+                passed = passed + (after > 0.5).astype(jnp.int32)
                 transmittance = after
-            return step + 1, indices(block, step + 1), transmittance, out
+            return step + 1, indices(block, step + 1), transmittance, out, passed
 
         first = jnp.int32(0)
         start = (
@@ -219,17 +244,29 @@ def _forward(table: Array, lists: TileLists, width: int, height: int, tile_size:
             indices(block, first),
             jnp.ones((size, pixels), table.dtype),
             jnp.zeros((channels, size, pixels), table.dtype),
+            jnp.zeros((size, pixels), jnp.int32),
         )
-        return tiled.at[block].set(jax.lax.while_loop(more, draw, start)[-1])
+        drawn = jax.lax.while_loop(more, draw, start)[-2:]
+        return images[0].at[block].set(drawn[0]), images[1].at[block, 0].set(drawn[1])
 
     empty = jnp.zeros((count, channels, size, pixels), table.dtype)
-    tiled = jax.lax.fori_loop(0, count, draw_block, empty)
-    image = _to_image(tiled, blocks, width, height, tile_size)
-    return image, (table, lists, blocks, image)
+    images = jax.lax.fori_loop(0, count, draw_block, (empty, jnp.zeros_like(empty[:, :1], jnp.int32)))
+    image, passed = (_to_image(tiled, blocks, width, height, tile_size) for tiled in images)
+    return image, passed[..., 0], blocks
 
 
-def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotangent: Array) -> tuple:
-    table, lists, blocks, image = residuals
+def _walk(
+    table: Array,
+    lists: TileLists,
+    blocks: _Blocks,
+    image: Array,
+    cotangent: Array,
+    *,
+    width: int,
+    height: int,
+    tile_size: int,
+) -> Array:
+    """The gradient by the table."""
     count, size = blocks.counts.shape
     pixels, channels = tile_size**2, table.shape[1] - 6
     # <g, out> of every pixel goes along as one more channel.
@@ -244,11 +281,11 @@ def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotange
         *g, g_alpha, total = cotangents[block]
         g_features = jnp.stack(g, axis=1)
 
-        def more(state: tuple[Array, Array, Array, Array, Array]) -> Array:
+        def more(state: tuple[Array, ...]) -> Array:
             step, _, transmittance, _, _ = state
             return (step * _CHUNK < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
 
-        def walk(state: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
+        def walk(state: tuple[Array, ...]) -> tuple[Array, ...]:
             step, index, transmittance, behind, gradients = state
             chunk = _fetch(table, index, blocks.centres[block])
             alphas = _alphas(chunk, tile_size)
@@ -284,7 +321,7 @@ def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotange
         start = (first, indices(block, first), transmittance, total, gradients)
         return jax.lax.while_loop(more, walk, start)[-1]
 
-    return jax.lax.fori_loop(0, count, walk_block, jnp.zeros_like(table)), None
+    return jax.lax.fori_loop(0, count, walk_block, jnp.zeros_like(table))
 
 
 def _from_moments(chunk: _Chunk, moments: Float[Array, "b k 6"]) -> Float[Array, "b k 6"]:
@@ -298,6 +335,3 @@ def _from_moments(chunk: _Chunk, moments: Float[Array, "b k 6"]) -> Float[Array,
     suy = u0 * sy + p * sxy + q * syy - chunk.v * su
     svy = v0 * sy + r * syy - chunk.v * sv
     return jnp.stack([p * su, q * su + r * sv, -sux, -suy, -svy, s], axis=-1)
-
-
-composite.defvjp(_forward, _backward)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from sfgs_jax.geometry import InputError
+
 
 @dataclass(frozen=True)
 class RenderConfig:
@@ -24,7 +26,7 @@ class RenderConfig:
 
     def __post_init__(self) -> None:
         if self.tile_size < 1 or self.pair_capacity < 1 or not 0 < self.near < self.far:
-            raise ValueError(f"{self}: tile_size and pair_capacity must be positive, and 0 < near < far.")
+            raise InputError(f"{self}: tile_size and pair_capacity must be positive, and 0 < near < far.")
 
 
 DEFAULT = RenderConfig()

@@ -1,9 +1,15 @@
 """Colour that depends on the viewing direction, by real spherical harmonics."""
 
 import math
+from typing import TypeVar
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+from sfgs_jax.geometry import InputError
+
+Values = TypeVar("Values", Array, np.ndarray)
 
 _C0 = 0.5 / math.sqrt(math.pi)
 _C1 = math.sqrt(3 / (4 * math.pi))
@@ -21,9 +27,14 @@ _C3 = (
 )
 
 
-def rgb_to_sh(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def rgb_to_sh(rgb: Float[Values, "*n 3"]) -> Float[Values, "*n 3"]:
     """Coefficients of degree 0 whose colour is `rgb` from everywhere."""
     return (rgb - 0.5) / _C0
+
+
+def sh_to_rgb(sh: Float[Values, "*n 3"]) -> Float[Values, "*n 3"]:
+    """RGB, not clipped, of coefficients of degree 0: the inverse of `rgb_to_sh`."""
+    return 0.5 + _C0 * sh
 
 
 def sh_basis(directions: Float[Array, "n 3"], coefficients: int) -> Float[Array, "n {coefficients}"]:
@@ -56,11 +67,11 @@ def sh_colours(sh: Float[Array, "n k 3"], offsets: Float[Array, "n 3"]) -> Float
     """RGB, not below 0, of Gaussians seen along `offsets` (centre minus camera, any length above 0).
 
     Raises:
-        ValueError: K is not 1, 4, 9 or 16.
+        InputError: K is not 1, 4, 9 or 16.
     """
     k = sh.shape[1]
     if k not in (1, 4, 9, 16):
-        raise ValueError(f"sh has {k} coefficients; degrees 0 to 3 have 1, 4, 9 or 16.")
+        raise InputError(f"sh has {k} coefficients a channel; degrees 0 to 3 have 1, 4, 9 or 16.")
     if k == 1:
         return jnp.maximum(0.5 + _C0 * sh[:, 0], 0)
     directions = offsets / jnp.linalg.norm(offsets, axis=-1, keepdims=True)

@@ -8,7 +8,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from sfgs_jax.geometry import InputError, write_atomically
-from sfgs_jax.splatting.gaussians import Gaussians
+from sfgs_jax.splatting.gaussians import Gaussians, valid_arrays
 
 
 def _columns(coefficients: int) -> list[str]:
@@ -32,27 +32,18 @@ def save_ply(path: Path | str, gaussians: Gaussians) -> None:
     Raises:
         OSError: the file can't be written; what was there before is left as it was.
     """
-    valid = np.asarray(gaussians.valid)
-    means, quaternions, log_scales, logits, sh = (
-        np.asarray(value, np.float32)[valid]
-        for value in (
-            gaussians.means,
-            gaussians.quaternions,
-            gaussians.log_scales,
-            gaussians.opacity_logits,
-            gaussians.sh,
-        )
-    )
+    values = valid_arrays(gaussians)
+    sh = values["sh"]
     n, k = sh.shape[:2]
     table = np.concatenate(
         [
-            means,
+            values["means"],
             np.zeros((n, 3), np.float32),
             sh[:, 0],
             sh[:, 1:].transpose(0, 2, 1).reshape(n, 3 * (k - 1)),
-            logits[:, None],
-            log_scales,
-            quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
+            values["opacity_logits"][:, None],
+            values["log_scales"],
+            values["quaternions"],
         ],
         axis=1,
     )

@@ -32,6 +32,9 @@ MIN_ALPHA = 1 / 255
 _VIEW_MARGIN = 0.3
 """J is taken no farther outside the image than this part of its half size; the linearisation fails there."""
 
+_MAX_LOG_IMAGE_SIZE = 20.0
+"""Logarithm of the largest standard deviation an image may have, pixels: 5e8, far beyond any screen."""
+
 
 class Projected(eqx.Module):
     """Images of N Gaussians.
@@ -56,15 +59,28 @@ def project(
 ) -> tuple[Projected, Float[Array, "n 3"]]:
     """Images of the Gaussians, and their RGB as seen from the camera.
 
-    Differentiable by ordinary means, with zero gradients in lanes that are not visible: unused, outside
-    [near, far], too transparent, or off the image.
+    Differentiable by ordinary means, forward and reverse, with zero gradients in lanes that are not
+    visible: not in use, outside [near, far], too transparent, or off the image. Nor is a Gaussian visible
+    that holds a NaN or whose image is larger than float32 can compute with.
+
+    Args:
+        gaussians: the map.
+        camera: intrinsics and image size.
+        T_world_cam: pose of the camera.
+        config: settings, static; of them `near`, `far` and `antialiased` matter.
+
+    Returns:
+        The images, and (N, 3) the RGB of the spherical harmonics.
+
+    Raises:
+        InputError: the harmonics are not of degree 0 to 3.
     """
     # Arrays of one component each, from here to the end: XLA fuses those, and compiles them sooner.
     R_cam_world = se3.rotation_matrix(T_world_cam).T
     # Relative to the camera before anything else: far from the origin float32 has no digits to spare.
     offset = _components(gaussians.means - T_world_cam.wxyz_xyz[4:])
     z = _dot(R_cam_world[2], offset)
-    used = gaussians.valid & (z > config.near) & (z < config.far)
+    used = gaussians.valid & (z > config.near) & (z < config.far) & _computable(gaussians, camera, z)
 
     # Lanes not in use are replaced on the way in, so that no NaN arises there, nor in a gradient.
     offset = [jnp.where(used, o, axis) for o, axis in zip(offset, R_cam_world[2], strict=True)]
@@ -160,11 +176,24 @@ def _image_axes(
     return m1, m2
 
 
+def _computable(gaussians: Gaussians, camera: Camera, z: Float[Array, " n"]) -> Bool[Array, " n"]:
+    """Which Gaussians have no NaN and an image with numbers small enough for their fourth powers."""
+    size = jnp.max(gaussians.log_scales, axis=-1) + jnp.log(jnp.maximum(camera.fx, camera.fy) / z)
+    return (
+        (size < _MAX_LOG_IMAGE_SIZE)  # False where NaN
+        & jnp.all(jnp.isfinite(gaussians.quaternions), axis=-1)
+        & ~jnp.isnan(gaussians.opacity_logits)
+        & jnp.all(jnp.isfinite(gaussians.sh), axis=(-2, -1))
+    )
+
+
 def _rotation_columns(quaternion: list[Array]) -> list[list[Array]]:
-    """Columns of the rotation matrices of quaternions wxyz of any positive length."""
-    w, x, y, z = quaternion
+    """Columns of the rotation matrices of quaternions wxyz of any length; a zero one does not rotate."""
+    # The length has no influence, so it may be taken out as a constant: nothing over- or underflows then.
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(jnp.stack(quaternion)), axis=0))
+    w, x, y, z = (q / jnp.where(largest > 0, largest, 1) for q in quaternion)
     # The products of a unit quaternion's entries, doubled, are those of any other's times this.
-    two = 2 / (w * w + x * x + y * y + z * z)
+    two = 2 / jnp.where(largest > 0, w * w + x * x + y * y + z * z, 1)
     return [
         [1 - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)],
         [two * (x * y - w * z), 1 - two * (x * x + z * z), two * (y * z + w * x)],

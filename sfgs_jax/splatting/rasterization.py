@@ -1,13 +1,31 @@
 """Images of projected Gaussians with any features."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.splatting.binning import bin_into_tiles
+from sfgs_jax.geometry import InputError
+from sfgs_jax.splatting.binning import TileLists, bin_into_tiles, tile_grid
 from sfgs_jax.splatting.compositing import composite
 from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.projection import Projected
+
+
+class Raster(eqx.Module):
+    """Composited features.
+
+    Attributes:
+        accumulated: (H, W, C) sums over the Gaussians of weight times feature.
+        alpha: (H, W) sums of the weights, in [0, 1].
+        median: (H, W) index of the Gaussian in which half of the light is lost; -1 where none is.
+        overflow: (tile, Gaussian) pairs that found no room; 0 when the images are complete.
+    """
+
+    accumulated: Float[Array, "h w c"]
+    alpha: Float[Array, "h w"]
+    median: Int[Array, "h w"]
+    overflow: Int[Array, ""]
 
 
 def rasterize(
@@ -17,25 +35,28 @@ def rasterize(
     width: int,
     height: int,
     config: RenderConfig = DEFAULT,
-) -> tuple[Float[Array, "h w c"], Float[Array, "h w"], Int[Array, ""]]:
+) -> Raster:
     """Composite the features of the Gaussians front to back.
 
-    Reverse-mode differentiable in `projected` and `features`; forward mode is refused by JAX, because
-    the gradient is given by hand.
+    Reverse-mode differentiable in `projected` and `features`; there is no forward mode, because the
+    gradient is given by hand.
 
     Args:
         projected: images of N Gaussians.
-        features: (N, C) what to composite: colours, depths, anything. Lanes that are not visible must be
-            finite.
+        features: (N, C) what to composite: colours, depths, anything. Lanes that are not visible may
+            hold anything.
         width: of the image, pixels.
         height: of the image, pixels.
         config: settings.
 
-    Returns:
-        accumulated: (H, W, C) sums over the Gaussians of weight times feature.
-        alpha: (H, W) sums of the weights, in [0, 1].
-        overflow: (tile, Gaussian) pairs that found no room; 0 when the images are complete.
+    Raises:
+        InputError: `features` has not one row for each Gaussian.
     """
+    if features.ndim != 2 or features.shape[0] != projected.visible.shape[0]:
+        raise InputError(
+            f"features have shape {features.shape}; "
+            f"{projected.visible.shape[0]} Gaussians need one row each, (N, channels)."
+        )
     lists = bin_into_tiles(
         jax.lax.stop_gradient(projected),
         width=width,
@@ -45,7 +66,24 @@ def rasterize(
         near=config.near,
         far=config.far,
     )
+    features = jnp.where(projected.visible[:, None], features, 0)
     columns = [projected.centres, projected.whitening, projected.log_opacities[:, None]]
     table = jnp.concatenate([*columns, features], axis=-1)
-    image: Array = composite(table, lists, width, height, config.tile_size)
-    return image[..., :-1], image[..., -1], lists.overflow
+    images: tuple[Array, Array] = composite(table, lists, width, height, config.tile_size)
+    image, passed = images
+    return Raster(
+        accumulated=image[..., :-1],
+        alpha=image[..., -1],
+        median=_median(passed, lists, width, height, config.tile_size),
+        overflow=lists.overflow,
+    )
+
+
+def _median(passed: Array, lists: TileLists, width: int, height: int, tile_size: int) -> Int[Array, "h w"]:
+    """The Gaussian that follows the first `passed` of each pixel's list."""
+    columns, _ = tile_grid(width, height, tile_size)
+    rows = jnp.arange(height, dtype=jnp.int32) // tile_size
+    tile = rows[:, None] * columns + jnp.arange(width, dtype=jnp.int32) // tile_size
+    found = passed < lists.counts[tile]
+    place = jnp.where(found, lists.starts[tile] + passed, 0)
+    return jnp.where(found, lists.gaussians[place], -1)

@@ -22,6 +22,8 @@ def render(
     camera: Camera,
     T_world_cam: jaxlie.SE3,
     background: Float[Array, "3"] | None = None,
+    colours: Float[Array, "n 3"] | None = None,
+    features: Float[Array, "n c"] | None = None,
     *,
     config: RenderConfig = DEFAULT,
 ) -> RenderOutput:
@@ -31,23 +33,35 @@ def render(
     order = jnp.argsort(jnp.where(drawn, depth.astype(jnp.float32), jnp.inf), stable=True)
     centre, conic, opacity, colour, depth, drawn = (value[order] for value in view)
 
-    def pixel(position: Array) -> tuple[Array, Array, Array]:
+    def given(values: Array) -> Array:
+        return jnp.where(drawn[:, None], values[order], 0)
+
+    colour = colour if colours is None else given(colours)
+    channels = jnp.zeros((len(order), 0), depth.dtype) if features is None else given(features)
+
+    def pixel(position: Array) -> tuple[Array, ...]:
         d = position - centre
         alpha = opacity * jnp.exp(-0.5 * jnp.einsum("ni,nij,nj->n", d, conic, d))
         alpha = jnp.where(drawn & (alpha >= MIN_ALPHA), jnp.minimum(alpha, MAX_ALPHA), 0)
         after = jnp.cumprod(1 - alpha)
         before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
         weight = jnp.where(after >= MIN_TRANSMITTANCE, before * alpha, 0)
-        return weight @ colour, weight @ depth, jnp.sum(weight)
+        half = jnp.argmax(after <= 0.5)
+        median = jnp.where(after[half] <= 0.5, depth[half], 0)
+        return weight @ colour, weight @ depth, median, jnp.sum(weight), weight @ channels
 
-    rgb, accumulated, alpha = jax.vmap(jax.vmap(pixel))(camera.pixels().astype(depth.dtype))
+    rgb, accumulated, median, alpha, drawn_features = jax.vmap(jax.vmap(pixel))(
+        camera.pixels().astype(depth.dtype)
+    )
     if background is not None:
         rgb = rgb + (1 - alpha)[..., None] * background
     return RenderOutput(
         rgb=rgb,
         depth=jnp.where(alpha > 0, accumulated / jnp.where(alpha > 0, alpha, 1), 0),
-        alpha=alpha,
+        median_depth=median,
         accumulated_depth=accumulated,
+        alpha=alpha,
+        features=None if features is None else drawn_features,
         overflow=jnp.int32(0),
     )
 

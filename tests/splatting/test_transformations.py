@@ -1,0 +1,94 @@
+"""The renderer under jit, vmap, grad, checkpoint and forward mode; and how often it compiles."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.splatting import render
+from tests.splatting.scenes import CONFIG, images_of, make_camera, make_pose, make_scene
+
+
+def loss(scene, camera, T_world_cam):
+    image = images_of(render(scene, camera, T_world_cam, config=CONFIG))
+    return jnp.sum(image * jax.random.normal(jax.random.key(3), image.shape))
+
+
+gradient = jax.value_and_grad(loss, allow_int=True)
+
+
+def assert_same(actual, expected, tolerance=1e-5):
+    for a, b in zip(jax.tree.leaves(actual), jax.tree.leaves(expected), strict=True):
+        if jnp.issubdtype(b.dtype, jnp.floating):
+            np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance * float(jnp.max(jnp.abs(b))))
+
+
+@pytest.fixture
+def view():
+    return make_scene(14), make_camera(), make_pose()
+
+
+def test_a_batch_of_cameras_is_a_vmap(view):
+    scene, camera, T = view
+    cameras = jax.vmap(
+        lambda f: Camera(f, f, camera.cx, camera.cy, width=camera.width, height=camera.height)
+    )(jnp.asarray([25.0, 30.0, 40.0]))
+    tangents = jnp.asarray(np.random.default_rng(0).normal(0, 0.05, (3, 6)), jnp.float32)
+    poses = jax.vmap(lambda delta: se3.compose(T, se3.exp(delta)))(tangents)
+    one = jax.jit(gradient)
+    together = jax.jit(jax.vmap(gradient, in_axes=(None, 0, 0)))(scene, cameras, poses)
+    for i in range(3):
+        camera, pose = jax.tree.map(lambda x, i=i: x[i], (cameras, poses))
+        assert_same(jax.tree.map(lambda x, i=i: x[i], together), one(scene, camera, pose))
+
+    def mean_loss(scene):
+        return jnp.mean(jax.vmap(loss, in_axes=(None, 0, 0))(scene, cameras, poses))
+
+    mean_gradient = jax.jit(jax.grad(mean_loss, allow_int=True))(scene)
+    assert_same(mean_gradient.means, jnp.mean(together[1].means, axis=0))
+
+
+def test_checkpoint_changes_no_gradient(view):
+    actual = jax.jit(jax.value_and_grad(jax.checkpoint(loss), allow_int=True))(*view)
+    assert_same(actual, jax.jit(gradient)(*view))
+
+
+def test_forward_mode_is_refused_in_one_sentence(view):
+    scene, camera, T = view
+
+    def moved(step):
+        return render(replace(scene, means=scene.means + step), camera, T, config=CONFIG).rgb
+
+    with pytest.raises(TypeError, match=r"render has no forward-mode derivative.*use reverse mode"):
+        jax.jvp(moved, (jnp.float32(0),), (jnp.float32(1),))
+
+
+@pytest.fixture
+def compilations():
+    """A list that grows by one with every program that XLA compiles."""
+    names: list[str] = []
+
+    def listen(event: str, duration: float, **_: object) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            names.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def test_moved_gaussians_and_cameras_do_not_compile_again(view, compilations):
+    scene, camera, T = view
+    other = replace(scene, means=scene.means + 0.1, valid=~scene.valid)
+    other_camera = Camera(20.0, 21.0, 9.0, 8.0, width=camera.width, height=camera.height)
+    other_pose = se3.compose(T, se3.exp(jnp.full(6, 0.01)))
+    program = jax.jit(gradient)
+    jax.block_until_ready((render(scene, camera, T, config=CONFIG), program(scene, camera, T)))
+    assert compilations, "the counter must see a program that is new"
+    compilations.clear()
+    again = render(other, other_camera, other_pose, config=CONFIG), program(other, other_camera, other_pose)
+    jax.block_until_ready(again)
+    assert not compilations
