@@ -1,0 +1,230 @@
+"""What every block of factors is: rows of one kind, a mask, a kernel, and their normal equations."""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from sfgs_jax.factor_graph.lanes import apply, apply_transposed, multiply, multiply_transposed
+from sfgs_jax.factor_graph.values import Values
+from sfgs_jax.geometry import InputError, Kernel, kernel_rho, kernel_weight, se3
+
+
+class Linearised(eqx.Module):
+    """Residuals and Jacobians of N rows, components first: the rows lie side by side for SIMD.
+
+    Attributes:
+        residual: (R, N), unwhitened.
+        pose_jacobian: (R, 6 k, N) with respect to the tangents of the k poses of each row.
+        landmark_jacobian: (R, 3, N), or None.
+        information: (R, R, N), or None for the identity.
+    """
+
+    residual: Float[Array, "R N"]
+    pose_jacobian: Float[Array, "R d N"]
+    landmark_jacobian: Float[Array, "R 3 N"] | None
+    information: Float[Array, "R R N"] | None
+
+
+class Terms(eqx.Module):
+    """What M groups of rows of a block add to the normal equations H step = -gradient.
+
+    Attributes:
+        losses: (N,) robust squared whitened residual of each row, 0 where masked; half their sum is the cost.
+        pose_hessian: (M, 6 k, 6 k).
+        pose_gradient: (M, 6 k).
+        landmark_hessian: (M, 3, 3), or None.
+        landmark_gradient: (M, 3), or None.
+        cross: (M, k, 3, 6) landmark-pose blocks, or None.
+    """
+
+    losses: Float[Array, " N"]
+    pose_hessian: Float[Array, "M d d"]
+    pose_gradient: Float[Array, "M d"]
+    landmark_hessian: Float[Array, "M 3 3"] | None = None
+    landmark_gradient: Float[Array, "M 3"] | None = None
+    cross: Float[Array, "M k 3 6"] | None = None
+
+
+class Factor(eqx.Module):
+    """A block of N factors of one kind.
+
+    A subclass gives `residual` and `measurements`, and may give `information` and a faster `linearise`.
+    Rows that are not valid may hold anything, NaN included: they are replaced by a valid row before they
+    are looked at, and weigh nothing.
+
+    Attributes:
+        poses: (N, k) indices of the poses a row touches.
+        landmarks: (N,) index of the landmark a row touches, or None.
+        valid: (N,) which rows count.
+        kernel: robust kernel of the whole row; static.
+        kernel_width: its width in standard deviations.
+    """
+
+    poses: Int[Array | np.ndarray, "N k"]
+    landmarks: Int[Array | np.ndarray, " N"] | None
+    valid: Bool[Array | np.ndarray, " N"]
+    kernel: Kernel = eqx.field(static=True)
+    kernel_width: Float[Array, ""]
+
+    def _set_rows(
+        self,
+        poses: Any,
+        landmarks: Any,
+        valid: Any,
+        kernel: Kernel,
+        kernel_width: Any,
+    ) -> None:
+        # Indices stay on the host: the structure of a graph is laid out there.
+        self.poses = np.asarray(poses, np.int32)
+        self.landmarks = None if landmarks is None else np.asarray(landmarks, np.int32)
+        count = len(self.poses)
+        self.valid = np.ones(count, bool) if valid is None else np.asarray(valid, bool)
+        self.kernel = kernel
+        self.kernel_width = jnp.asarray(kernel_width, jnp.result_type(float))
+        for name, array in (("landmarks", self.landmarks), ("valid", self.valid)):
+            if array is not None and array.shape != (count,):
+                raise InputError(
+                    f"{type(self).__name__} has {count} rows of poses, but {name} {array.shape}."
+                )
+
+    @property
+    def groups(self) -> Int[np.ndarray, "M k"]:
+        """Poses of each group of rows that adds one block to the normal equations: by default each row."""
+        return np.asarray(self.poses)
+
+    @property
+    def group_valid(self) -> Bool[np.ndarray, " M"]:
+        """Which groups count."""
+        return np.asarray(self.valid)
+
+    @abstractmethod
+    def measurements(self) -> Any:
+        """Tree of arrays with N rows: what `residual` gets one row of."""
+
+    @abstractmethod
+    def residual(self, row: Any, poses: jaxlie.SE3, landmark: Float[Array, "3"] | None) -> Float[Array, " R"]:
+        """Residual of one row at its k poses and its landmark."""
+
+    def information(self, rows: Any) -> Float[Array, "N R R"] | None:
+        """Information matrices of the residuals, given clean measurements; None for the identity."""
+        return None
+
+    def clean_measurements(self) -> Any:
+        """Measurements whose masked rows hold a copy of a valid one."""
+        valid = jnp.asarray(self.valid)
+        first = jnp.argmax(valid)
+
+        def clean(rows: Array) -> Array:
+            rows = jnp.asarray(rows)
+            mask = valid.reshape(-1, *[1] * (rows.ndim - 1))
+            usable = rows[first]
+            if jnp.issubdtype(rows.dtype, jnp.floating):
+                usable = jnp.where(valid[first], usable, jnp.ones_like(usable))
+            return jnp.where(mask, rows, usable)
+
+        return jax.tree.map(clean, self.measurements()) if len(self.valid) else self.measurements()
+
+    def gather(self, values: Values) -> tuple[jaxlie.SE3, Float[Array, "N 3"] | None]:
+        """Poses (N, k) and landmarks of every row."""
+        valid = jnp.asarray(self.valid)
+        poses = jaxlie.SE3(values.poses.wxyz_xyz[jnp.where(valid[:, None], jnp.asarray(self.poses), 0)])
+        if self.landmarks is None:
+            return poses, None
+        return poses, values.landmarks[jnp.where(valid, jnp.asarray(self.landmarks), 0)]
+
+    def residuals(self, values: Values) -> tuple[Float[Array, "R N"], Float[Array, "R R N"] | None]:
+        """Unwhitened residuals and their information, components first."""
+        rows = self.clean_measurements()
+        poses, landmarks = self.gather(values)
+        residual = jax.vmap(self.residual, out_axes=-1)(rows, poses, landmarks)
+        information = self.information(rows)
+        return residual, None if information is None else jnp.moveaxis(information, 0, -1)
+
+    def linearise(self, values: Values) -> Linearised:
+        """Residuals with Jacobians on the tangent, by forward differentiation."""
+        rows = self.clean_measurements()
+        poses, landmarks = self.gather(values)
+        k = self.poses.shape[1]
+
+        def perturbed(row: Any, T: jaxlie.SE3, x: Any, step: Array) -> tuple[Array, Array]:
+            moved = se3.compose(T, se3.exp(step[: 6 * k].reshape(k, 6)))
+            value = self.residual(row, moved, None if x is None else x + step[6 * k :])
+            return value, value
+
+        size = 6 * k + (0 if landmarks is None else 3)
+        zero = jnp.zeros(size, values.poses.wxyz_xyz.dtype)
+        jacobian, residual = jax.vmap(jax.jacfwd(perturbed, argnums=3, has_aux=True), (0, 0, 0, None), -1)(
+            rows, poses, landmarks, zero
+        )
+        information = self.information(rows)
+        return Linearised(
+            residual,
+            jacobian[:, : 6 * k],
+            None if landmarks is None else jacobian[:, 6 * k :],
+            None if information is None else jnp.moveaxis(information, 0, -1),
+        )
+
+    def losses(self, values: Values) -> Float[Array, " N"]:
+        """Robust squared whitened residual of each row, 0 where masked."""
+        square = squared(*self.residuals(values))
+        return jnp.where(jnp.asarray(self.valid), self.robust(square), 0)
+
+    def robust(self, square: Float[Array, " N"]) -> Float[Array, " N"]:
+        """`kernel_rho` of this block."""
+        return kernel_rho(square, self.kernel, self.kernel_width.astype(square.dtype))
+
+    def robust_weight(self, square: Float[Array, " N"]) -> Float[Array, " N"]:
+        """`kernel_weight` of this block, 0 where masked."""
+        weight = kernel_weight(square, self.kernel, self.kernel_width.astype(square.dtype))
+        return jnp.where(jnp.asarray(self.valid), weight, 0)
+
+    def terms(self, values: Values) -> Terms:
+        """Normal equations of iteratively reweighted least squares, row by row."""
+        linear = self.linearise(values)
+        information, k = linear.information, self.poses.shape[1]
+        r, jacobian = linear.residual, linear.pose_jacobian
+        square = squared(r, information)
+        weight = self.robust_weight(square)
+        mask = jnp.asarray(self.valid)
+        # A masked row may hold what is not finite, and 0 times that is not 0.
+        r, jacobian = jnp.where(mask, r, 0), jnp.where(mask, jacobian, 0)
+
+        weighted = _weigh(jacobian, information) * weight
+        losses = jnp.where(mask, self.robust(square), 0)
+        pose_hessian = _rows_first(multiply_transposed(jacobian, weighted))
+        pose_gradient = apply_transposed(weighted, r).T
+        if linear.landmark_jacobian is None:
+            return Terms(losses, pose_hessian, pose_gradient)
+        at_landmark = jnp.where(mask, linear.landmark_jacobian, 0)
+        weighted_landmark = _weigh(at_landmark, information) * weight
+        cross = multiply_transposed(weighted_landmark, jacobian).reshape(3, k, 6, -1)
+        return Terms(
+            losses,
+            pose_hessian,
+            pose_gradient,
+            _rows_first(multiply_transposed(at_landmark, weighted_landmark)),
+            apply_transposed(weighted_landmark, r).T,
+            jnp.transpose(cross, (3, 1, 0, 2)),
+        )
+
+
+def squared(residual: Float[Array, "R N"], information: Float[Array, "R R N"] | None) -> Float[Array, " N"]:
+    """Squared whitened residual r^T Omega r of each row."""
+    weighed = residual if information is None else apply(information, residual)
+    return jnp.sum(residual * weighed, axis=0)
+
+
+def _weigh(
+    jacobian: Float[Array, "R d N"], information: Float[Array, "R R N"] | None
+) -> Float[Array, "R d N"]:
+    return jacobian if information is None else multiply(information, jacobian)
+
+
+def _rows_first(matrix: Float[Array, "c d N"]) -> Float[Array, "N c d"]:
+    return jnp.moveaxis(matrix, -1, 0)

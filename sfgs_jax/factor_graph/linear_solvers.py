@@ -1,0 +1,121 @@
+"""Solvers of the poses' equations: dense Cholesky, multifrontal Cholesky, conjugate gradients."""
+
+from collections.abc import Callable
+from typing import assert_never
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from sfgs_jax.factor_graph.graph import FactorGraph
+from sfgs_jax.factor_graph.multifrontal import multifrontal_cholesky, multifrontal_solve
+from sfgs_jax.factor_graph.normal_equations import Reduced
+
+Solve = Callable[[Float[Array, "P 6"]], Float[Array, "P 6"]]
+
+
+def prepare_solve(
+    graph: FactorGraph, system: Reduced, *, pcg_tolerance: float, pcg_max_iterations: int
+) -> Solve:
+    """A function that solves the system for a right-hand side; not finite if it is not positive definite.
+
+    Rows and columns are first scaled to a unit diagonal, which float32 needs: entries of translation and
+    rotation differ by orders of magnitude, and so do poses with many observations and poses with few.
+    """
+    diagonal = jnp.diagonal(system.diagonal, axis1=1, axis2=2)
+    scale = lax.rsqrt(jnp.where(diagonal > 0, diagonal, jnp.nan))
+    padded = jnp.concatenate([scale, jnp.zeros_like(scale[:1])])
+    s = graph.structure
+    rows, columns = jnp.asarray(s.rows), jnp.asarray(s.columns)
+    scaled = Reduced(
+        system.diagonal * scale[:, :, None] * scale[:, None],
+        system.off_diagonal * padded[rows][:, :, None] * padded[columns][:, None],
+        system.right,
+    )
+    match graph.linear_solver:
+        case "dense":
+            solve = _dense(graph, scaled)
+        case "sparse":
+            assert graph.plan is not None
+            plan = graph.plan
+            fronts = multifrontal_cholesky(plan, scaled.diagonal, scaled.off_diagonal)
+            solve = lambda right: multifrontal_solve(plan, fronts, right)  # noqa: E731
+        case "pcg":
+            solve = _pcg(graph, scaled, pcg_tolerance, pcg_max_iterations)
+        case _:
+            assert_never(graph.linear_solver)
+    return lambda right: scale * solve(scale * right)
+
+
+def dense_matrix(graph: FactorGraph, system: Reduced) -> Float[Array, "n n"]:
+    """The symmetric 6 P x 6 P matrix of a system."""
+    s, P = graph.structure, graph.num_poses
+    rows, columns = jnp.asarray(s.rows), jnp.asarray(s.columns)
+    blocks = jnp.zeros((P * P + 1, 36), system.diagonal.dtype)
+    poses = jnp.arange(P) * (P + 1)
+    blocks = blocks.at[poses].set(system.diagonal.reshape(-1, 36))
+    used = rows < P
+    lower = jnp.where(used, columns * P + rows, P * P)
+    blocks = blocks.at[lower].set(jnp.swapaxes(system.off_diagonal, 1, 2).reshape(-1, 36))
+    upper = jnp.where(used, rows * P + columns, P * P)
+    blocks = blocks.at[upper].set(system.off_diagonal.reshape(-1, 36))
+    return jnp.transpose(blocks[:-1].reshape(P, P, 6, 6), (0, 2, 1, 3)).reshape(6 * P, 6 * P)
+
+
+def _dense(graph: FactorGraph, system: Reduced) -> Solve:
+    lower = lax.linalg.cholesky(dense_matrix(graph, system), symmetrize_input=False)
+
+    def solve(right: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
+        column = right.reshape(-1, 1)
+        half = lax.linalg.triangular_solve(lower, column, left_side=True, lower=True)
+        whole = lax.linalg.triangular_solve(lower, half, left_side=True, lower=True, transpose_a=True)
+        return whole.reshape(-1, 6)
+
+    return solve
+
+
+def multiply(graph: FactorGraph, system: Reduced, vector: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
+    """The system's matrix times a vector."""
+    s, P = graph.structure, graph.num_poses
+    rows, columns = jnp.asarray(s.rows), jnp.asarray(s.columns)
+    padded = jnp.concatenate([vector, jnp.zeros_like(vector[:1])])
+    right = jnp.sum(system.off_diagonal * padded[columns][:, None], axis=2)
+    left = jnp.sum(system.off_diagonal * padded[rows][:, :, None], axis=1)
+    product = jnp.sum(system.diagonal * vector[:, None], axis=2)
+    sums = jnp.zeros((P + 1, 6), vector.dtype).at[rows].add(right).at[columns].add(left)
+    return product + sums[:P]
+
+
+def _pcg(graph: FactorGraph, system: Reduced, tolerance: float, max_iterations: int) -> Solve:
+    inverse = jnp.linalg.inv(system.diagonal)
+
+    def precondition(vector: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
+        return jnp.sum(inverse * vector[:, None], axis=2)
+
+    def dot(a: Array, b: Array) -> Array:
+        return jnp.sum(a * b)
+
+    def solve(right: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
+        State = tuple[Array, Array, Array, Float[Array, ""], Int[Array, ""]]
+        start = precondition(right)
+        target = tolerance**2 * dot(right, start)
+
+        def unfinished(state: State) -> Bool[Array, ""]:
+            _, _, _, square, iteration = state
+            return (square > target) & (iteration < max_iterations)
+
+        def step(state: State) -> State:
+            x, residual, direction, square, iteration = state
+            product = multiply(graph, system, direction)
+            curvature = dot(direction, product)
+            # A matrix that is not positive definite shows here, and must not pass for a solution.
+            length = jnp.where(curvature > 0, square / jnp.where(curvature > 0, curvature, 1), jnp.nan)
+            x, residual = x + length * direction, residual - length * product
+            better = precondition(residual)
+            following = dot(residual, better)
+            return x, residual, better + following / square * direction, following, iteration + 1
+
+        state = (jnp.zeros_like(right), right, start, dot(right, start), jnp.asarray(0))
+        return lax.while_loop(unfinished, step, state)[0]
+
+    return solve

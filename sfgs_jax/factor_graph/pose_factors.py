@@ -1,0 +1,135 @@
+"""Factors between poses: priors and relative motions."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Float
+
+from sfgs_jax.factor_graph.factor import Factor, Linearised
+from sfgs_jax.factor_graph.lanes import multiply
+from sfgs_jax.factor_graph.tangents import inverse_right_jacobian
+from sfgs_jax.factor_graph.values import Values
+from sfgs_jax.geometry import Kernel, se3
+
+
+class PosePrior(Factor):
+    """Poses known beforehand: residual log(Z^-1 T), 6 rows, translation first.
+
+    Attributes:
+        T_world_pose: (N,) measured poses Z.
+        matrices: (N, 6, 6) information of the residual's tangent.
+    """
+
+    T_world_pose: jaxlie.SE3
+    matrices: Float[Array, "N 6 6"]
+
+    def __init__(
+        self,
+        poses: Any,
+        T_world_pose: jaxlie.SE3,
+        information: Float[Array, "*n 6 6"],
+        *,
+        valid: Any = None,
+        kernel: Kernel = "none",
+        kernel_width: Any = 1.0,
+    ):
+        """Priors of N poses.
+
+        Args:
+            poses: (N,) which poses.
+            T_world_pose: (N,) where they are believed to be.
+            information: (N, 6, 6) or (6, 6), positive semidefinite, translation first.
+            valid: (N,) which rows count, all if not given.
+            kernel: robust kernel.
+            kernel_width: its width in standard deviations.
+        """
+        self._set_rows(np.asarray(poses).reshape(-1, 1), None, valid, kernel, kernel_width)
+        self.T_world_pose = T_world_pose
+        self.matrices = jnp.broadcast_to(jnp.asarray(information), (len(self.poses), 6, 6))
+
+    def measurements(self) -> Any:
+        """Poses and information."""
+        return self.T_world_pose, self.matrices
+
+    def information(self, rows: Any) -> Float[Array, "N 6 6"]:
+        """As given."""
+        return rows[1]
+
+    def residual(self, row: Any, poses: jaxlie.SE3, landmark: Float[Array, "3"] | None) -> Float[Array, "6"]:
+        """log(Z^-1 T)."""
+        return se3.log(se3.compose(se3.inverse(row[0]), jaxlie.SE3(poses.wxyz_xyz[0])))
+
+    def linearise(self, values: Values) -> Linearised:
+        """Closed form: the inverse right Jacobian of the residual."""
+        rows = self.clean_measurements()
+        T, _ = self.gather(values)
+        error = se3.compose(se3.inverse(rows[0]), jaxlie.SE3(T.wxyz_xyz[:, 0]))
+        residual = se3.log(error).T
+        return Linearised(residual, inverse_right_jacobian(residual), None, jnp.moveaxis(rows[1], 0, -1))
+
+
+class RelativePose(Factor):
+    """Measured motions between two poses: residual log(Z^-1 T_a^-1 T_b), 6 rows, translation first.
+
+    GICP odometry and loop closures are of this kind: Z is `T_a_b` and its information the one that the
+    registration of source b onto target a returns.
+
+    Attributes:
+        T_a_b: (N,) measured motions Z.
+        matrices: (N, 6, 6) information of the residual's tangent.
+    """
+
+    T_a_b: jaxlie.SE3
+    matrices: Float[Array, "N 6 6"]
+
+    def __init__(
+        self,
+        poses: Any,
+        T_a_b: jaxlie.SE3,
+        information: Float[Array, "*n 6 6"],
+        *,
+        valid: Any = None,
+        kernel: Kernel = "none",
+        kernel_width: Any = 1.0,
+    ):
+        """Motions between N pairs of poses.
+
+        Args:
+            poses: (N, 2) pairs (a, b).
+            T_a_b: (N,) measured motions, which take coordinates of b to those of a.
+            information: (N, 6, 6) or (6, 6), positive semidefinite, translation first, of right noise.
+            valid: (N,) which rows count, all if not given.
+            kernel: robust kernel.
+            kernel_width: its width in standard deviations.
+        """
+        self._set_rows(poses, None, valid, kernel, kernel_width)
+        self.T_a_b = T_a_b
+        self.matrices = jnp.broadcast_to(jnp.asarray(information), (len(self.poses), 6, 6))
+
+    def measurements(self) -> Any:
+        """Motions and information."""
+        return self.T_a_b, self.matrices
+
+    def information(self, rows: Any) -> Float[Array, "N 6 6"]:
+        """As given."""
+        return rows[1]
+
+    def residual(self, row: Any, poses: jaxlie.SE3, landmark: Float[Array, "3"] | None) -> Float[Array, "6"]:
+        """log(Z^-1 T_a^-1 T_b)."""
+        T_a, T_b = (jaxlie.SE3(poses.wxyz_xyz[i]) for i in range(2))
+        return se3.log(se3.compose(se3.inverse(row[0]), se3.compose(se3.inverse(T_a), T_b)))
+
+    def linearise(self, values: Values) -> Linearised:
+        """Closed form: the inverse right Jacobian J, and -J Ad(T_b^-1 T_a) for the first pose."""
+        rows = self.clean_measurements()
+        T, _ = self.gather(values)
+        T_a, T_b = (jaxlie.SE3(T.wxyz_xyz[:, i]) for i in range(2))
+        between = se3.compose(se3.inverse(T_a), T_b)
+        residual = se3.log(se3.compose(se3.inverse(rows[0]), between)).T
+        at_b = inverse_right_jacobian(residual)
+        back = jnp.moveaxis(se3.adjoint(se3.inverse(between)), 0, -1)
+        at_a = -multiply(at_b, back)
+        jacobian = jnp.concatenate([at_a, at_b], axis=1)
+        return Linearised(residual, jacobian, None, jnp.moveaxis(rows[1], 0, -1))
