@@ -1,15 +1,25 @@
-"""The renderer's times beside the floors of the same machine: `python -m benchmarks.splatting`.
+"""The renderer's times beside the floors of the same machine.
 
-One process, medians of warm calls, on `data/bench/splat_scene_50k.npz` (50,000 Gaussians of one real
-frame), found through SFGS_DATA or at ../shared. The floor of a time is what its pixel evaluations would
-take at the rates of `exp` and of a matrix product measured in the same run.
+    python -m benchmarks.splatting            everything below
+    python -m benchmarks.splatting scene      times at 640x480 and 320x240
+    python -m benchmarks.splatting gaussians  time against the number of Gaussians
+    python -m benchmarks.splatting sizes      time against the size of the image
+    python -m benchmarks.splatting memory     peak memory with 100,000 Gaussians at 640x480
+
+Each in one process of its own; medians of warm calls on `data/bench/splat_scene_50k.npz` (50,000 Gaussians
+of one real frame), found through SFGS_DATA or at ../shared. The floor of a time is what its arithmetic would
+take at the rates of `exp` and of a matrix product measured in the same run: a rendering needs one exponential
+for each pair of a Gaussian and a pixel of its tiles; its gradient one more, and the ten sums that make it up.
 """
 
 import os
 import resource
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -26,115 +36,241 @@ from sfgs_jax.splatting.compositing import composite
 REPEATS = 15
 
 
-def load_scene() -> tuple[Gaussians, Camera, jaxlie.SE3, Array]:
-    """Gaussians, camera, pose and target image; pixel centres brought to integer coordinates."""
-    root = Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared"))
-    path = root / "data" / "bench" / "splat_scene_50k.npz"
-    if not path.is_file():
-        raise InputError(f"No benchmark scene at {path}; set SFGS_DATA to the folder that holds data/.")
-    data = np.load(path)
-    n, K = len(data["means"]), data["K"]
-    opacities = jnp.asarray(data["opacities"])
-    gaussians = Gaussians(
-        means=jnp.asarray(data["means"]),
-        quaternions=jnp.asarray(data["quats"]),
-        log_scales=jnp.log(jnp.asarray(data["scales"])),
-        opacity_logits=jnp.log(opacities / (1 - opacities)),
-        sh=rgb_to_sh(jnp.asarray(data["colors"]))[:, None],
-        valid=jnp.ones(n, bool),
-    )
-    width, height = int(data["width"]), int(data["height"])
-    camera = Camera(K[0, 0], K[1, 1], K[0, 2] - 0.5, K[1, 2] - 0.5, width=width, height=height)
-    T_world_cam = se3.from_matrix(np.linalg.inv(data["viewmat"].astype(np.float64)))
-    return gaussians, camera, T_world_cam, jnp.asarray(data["target"])
+@dataclass(frozen=True)
+class View:
+    """Gaussians, and a camera that looks at them."""
 
+    gaussians: Gaussians
+    camera: Camera
+    T_world_cam: jaxlie.SE3
+    target: Array
 
-def measure(function: Callable, *args) -> tuple[float, float, int]:
-    """Median milliseconds of a warm call, seconds to compile, bytes of scratch memory."""
-    start = time.perf_counter()
-    program = jax.jit(function).lower(*args).compile()
-    compiled = time.perf_counter() - start
-    analysis = program.memory_analysis()
-    times = []
-    for repeat in range(REPEATS + 2):
-        start = time.perf_counter()
-        jax.block_until_ready(program(*args))
-        if repeat >= 2:
-            times.append(time.perf_counter() - start)
-    return 1e3 * statistics.median(times), compiled, analysis.temp_size_in_bytes if analysis else 0
+    def smaller(self, factor: int) -> "View":
+        """The same in an image of means of factor x factor pixels."""
+        camera = self.camera.downscaled(factor)
+        target = self.target.reshape(camera.height, factor, camera.width, factor, 3).mean((1, 3))
+        return replace(self, camera=camera, target=target)
 
+    def larger(self, factor: int) -> "View":
+        """The same with factor x factor pixels for each."""
+        c = self.camera
+        shift = (factor - 1) / 2
+        camera = Camera(
+            factor * c.fx,
+            factor * c.fy,
+            factor * c.cx + shift,
+            factor * c.cy + shift,
+            width=factor * c.width,
+            height=factor * c.height,
+        )
+        target = jnp.repeat(jnp.repeat(self.target, factor, axis=0), factor, axis=1)
+        return replace(self, camera=camera, target=target)
 
-def rates() -> tuple[float, float]:
-    """Exponentials per second, and floating-point operations per second of a matrix product."""
-    exponents, matrix = jnp.zeros((16_384, 1024)), jnp.ones((1536, 1536))
-    exp_ms = measure(lambda x: jnp.sum(jnp.exp(x), axis=-1), exponents)[0]
-    matmul_ms = measure(lambda x: x @ x, matrix)[0]
-    return exponents.size / exp_ms * 1e3, 2 * 1536**3 / matmul_ms * 1e3
+    def resampled(self, count: int) -> "View":
+        """The same surfaces with `count` Gaussians, drawn at random, as much smaller as they are more."""
+        rng = np.random.default_rng(0)
+        old = self.gaussians.means.shape[0]
+        chosen = rng.integers(0, old, count) if count > old else rng.permutation(old)[:count]
+        gaussians = jax.tree.map(lambda values: values[chosen], self.gaussians)
+        shift = 0.5 * np.exp(gaussians.log_scales) * rng.normal(size=(count, 3)) * (count > old)
+        gaussians = replace(
+            gaussians,
+            means=gaussians.means + jnp.asarray(shift, jnp.float32),
+            log_scales=gaussians.log_scales + 0.5 * float(np.log(old / count)),
+        )
+        return replace(self, gaussians=gaussians)
 
+    def config(self) -> RenderConfig:
+        return RenderConfig(pair_capacity=pair_capacity(self.gaussians, self.camera, self.T_world_cam))
 
-def run_size(factor: int, exp_rate: float, flop_rate: float) -> None:
-    gaussians, camera, T_world_cam, target = load_scene()
-    camera = camera.downscaled(factor)
-    target = target.reshape(camera.height, factor, camera.width, factor, 3).mean((1, 3))
-    config = RenderConfig(pair_capacity=pair_capacity(gaussians, camera, T_world_cam))
+    def forward(self, config: RenderConfig) -> Callable:
+        return lambda gaussians: render(gaussians, self.camera, self.T_world_cam, config=config)
 
-    def forward(gaussians: Gaussians):
-        return render(gaussians, camera, T_world_cam, config=config)
+    def gradient(self, config: RenderConfig) -> Callable:
+        def loss(gaussians: Gaussians) -> Array:
+            out = self.forward(config)(gaussians)
+            return l1(out.rgb, self.target) + jnp.mean(out.accumulated_depth)
 
-    def loss(gaussians: Gaussians) -> Array:
-        out = forward(gaussians)
-        return l1(out.rgb, target) + jnp.mean(out.accumulated_depth)
+        return jax.value_and_grad(loss, allow_int=True)
 
-    def bin_tiles(projected):
-        return bin_into_tiles(
+    def bins(self, config: RenderConfig) -> Callable:
+        return lambda projected: bin_into_tiles(
             projected,
-            width=camera.width,
-            height=camera.height,
+            width=self.camera.width,
+            height=self.camera.height,
             tile_size=config.tile_size,
             pair_capacity=config.pair_capacity,
             near=config.near,
             far=config.far,
         )
 
-    projected, colours = jax.jit(lambda g: project(g, camera, T_world_cam))(gaussians)
-    lists = jax.jit(bin_tiles)(projected)
+
+def load_view() -> View:
+    """The scene; pixel centres brought to integer coordinates."""
+    root = Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared"))
+    path = root / "data" / "bench" / "splat_scene_50k.npz"
+    if not path.is_file():
+        raise InputError(f"No benchmark scene at {path}; set SFGS_DATA to the folder that holds data/.")
+    data = np.load(path)
+    K, opacities = data["K"], jnp.asarray(data["opacities"])
+    gaussians = Gaussians(
+        means=jnp.asarray(data["means"]),
+        quaternions=jnp.asarray(data["quats"]),
+        log_scales=jnp.log(jnp.asarray(data["scales"])),
+        opacity_logits=jnp.log(opacities / (1 - opacities)),
+        sh=rgb_to_sh(jnp.asarray(data["colors"]))[:, None],
+        valid=jnp.ones(len(opacities), bool),
+    )
+    width, height = int(data["width"]), int(data["height"])
+    camera = Camera(K[0, 0], K[1, 1], K[0, 2] - 0.5, K[1, 2] - 0.5, width=width, height=height)
+    T_world_cam = se3.from_matrix(np.linalg.inv(data["viewmat"].astype(np.float64)))
+    return View(gaussians, camera, T_world_cam, jnp.asarray(data["target"]))
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of a program: median of a warm call, compilation, scratch memory."""
+
+    ms: float
+    compile_s: float
+    scratch_mb: float
+
+
+def measure(function: Callable, *args, repeats: int = REPEATS) -> Cost:
+    start = time.perf_counter()
+    program = jax.jit(function).lower(*args).compile()
+    compile_s = time.perf_counter() - start
+    analysis = program.memory_analysis()
+    times = []
+    for repeat in range(repeats + 2):
+        start = time.perf_counter()
+        jax.block_until_ready(program(*args))
+        if repeat >= 2:
+            times.append(time.perf_counter() - start)
+    return Cost(
+        1e3 * statistics.median(times), compile_s, analysis.temp_size_in_bytes / 1e6 if analysis else 0.0
+    )
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the machine does, per millisecond."""
+
+    exponentials: float
+    flops: float
+
+    @staticmethod
+    def measured() -> "Rates":
+        exponents, matrix = jnp.zeros((16_384, 1024)), jnp.ones((1536, 1536))
+        exp_ms = measure(lambda x: jnp.sum(jnp.exp(x), axis=-1), exponents).ms
+        matmul_ms = measure(lambda x: x @ x, matrix).ms
+        rates = Rates(exponents.size / exp_ms, 2 * 1536**3 / matmul_ms)
+        print(f"jax {jax.__version__} on {jax.devices()[0].platform}, {os.cpu_count()} cores: exp ", end="")
+        print(f"{rates.exponentials / 1e6:.2f} G/s, matrix product {rates.flops / 1e6:.0f} GFLOP/s")
+        return rates
+
+    def floors(self, evaluations: int) -> tuple[float, float]:
+        """Milliseconds of a rendering, and of one with its gradient."""
+        forward = evaluations / self.exponentials
+        return forward, 2 * forward + 20 * evaluations / self.flops
+
+
+def count_pairs(view: View, config: RenderConfig) -> int:
+    def count(gaussians: Gaussians) -> Array:
+        projected, _ = project(gaussians, view.camera, view.T_world_cam)
+        return jnp.sum(view.bins(config)(projected).counts)
+
+    return int(jax.jit(count)(view.gaussians))
+
+
+def scene_table(view: View, rates: Rates) -> None:
+    config, gaussians, target = view.config(), view.gaussians, view.target
+    width, height = view.camera.width, view.camera.height
+    projected, colours = jax.jit(lambda g: project(g, view.camera, view.T_world_cam))(gaussians)
+    lists = jax.jit(view.bins(config))(projected)
     columns = [projected.centres, projected.whitening, projected.log_opacities[:, None], colours]
     table = jnp.concatenate([*columns, projected.depths[:, None]], axis=1)
+    weights = jax.random.normal(jax.random.key(0), (height, width, 5))
 
     def draw(table: Array) -> Array:
-        return composite(table, lists, camera.width, camera.height, config.tile_size)
+        images: tuple[Array, Array] = composite(table, lists, width, height, config.tile_size)
+        return jnp.sum(weights * images[0])
 
     pairs = int(jnp.sum(lists.counts))
-    evaluations = pairs * config.tile_size**2
-    # Backward, one more exponential and the ten sums of a pair's gradient, two operations each.
-    floor = 1e3 * evaluations / exp_rate
-    floor_gradient = 2 * floor + 1e3 * 20 * evaluations / flop_rate
-
-    print(f"\n{camera.width}x{camera.height}: {pairs} pairs, room for {config.pair_capacity}")
+    floor, floor_gradient = rates.floors(pairs * config.tile_size**2)
+    # Nine blurs a channel: down by a matrix of 32 x 42, across by eleven products.
+    floor_ssim = width * height * 3 * 9 * (2 * 42 + 2 * 11) / rates.flops
+    mask = target[..., 0] > 0.2
+    print(f"\n{width}x{height}: {pairs} pairs, room for {config.pair_capacity}")
     print(f"{'':34}{'ms':>9}{'floor':>9}{'ratio':>8}{'compile s':>11}{'scratch MB':>12}")
     rows = [
-        ("forward", forward, gaussians, floor),
-        ("forward + backward", jax.value_and_grad(loss, allow_int=True), gaussians, floor_gradient),
-        ("  project", lambda g: project(g, camera, T_world_cam), gaussians, None),
-        ("  bin into tiles", bin_tiles, projected, None),
+        ("forward", view.forward(config), gaussians, floor),
+        ("forward + backward", view.gradient(config), gaussians, floor_gradient),
+        ("  project", lambda g: project(g, view.camera, view.T_world_cam), gaussians, None),
+        ("  bin into tiles", view.bins(config), projected, None),
         ("  composite", draw, table, floor),
-        ("  composite + gradient", jax.grad(lambda t: jnp.mean(draw(t))), table, floor_gradient),
-        ("SSIM + gradient", jax.value_and_grad(lambda image: ssim(image, target)), target[::-1], None),
+        ("  composite + gradient", jax.grad(draw), table, floor_gradient),
+        ("SSIM + gradient", jax.value_and_grad(lambda image: ssim(image, target)), target[::-1], floor_ssim),
+        (
+            "SSIM + gradient, masked",
+            jax.value_and_grad(lambda image: ssim(image, target, mask)),
+            target[::-1],
+            floor_ssim,
+        ),
+        ("L1 + gradient", jax.value_and_grad(lambda image: l1(image, target)), target[::-1], None),
     ]
     for name, function, argument, bound in rows:
-        ms, compiled, scratch = measure(function, argument)
-        limits = f"{bound:9.1f}{ms / bound:8.1f}" if bound else " " * 17
-        print(f"{name:34}{ms:9.1f}{limits}{compiled:11.1f}{scratch / 1e6:12.1f}")
+        cost = measure(function, argument)
+        limits = f"{bound:9.1f}{cost.ms / bound:8.1f}" if bound else " " * 17
+        print(f"{name:34}{cost.ms:9.1f}{limits}{cost.compile_s:11.1f}{cost.scratch_mb:12.1f}", flush=True)
 
 
-def main() -> None:
-    exp_rate, flop_rate = rates()
-    print(f"jax {jax.__version__} on {jax.devices()[0].platform}, {os.cpu_count()} cores")
-    print(f"exp {exp_rate / 1e9:.2f} G/s, matrix product {flop_rate / 1e9:.0f} GFLOP/s")
-    for factor in (1, 2):
-        run_size(factor, exp_rate, flop_rate)
-    print(f"\npeak memory of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+def growth_table(views: list[tuple[str, View]], rates: Rates) -> None:
+    print(
+        f"\n{'':14}{'pairs':>10}{'forward':>10}{'ratio':>7}{'+ backward':>12}{'ratio':>7}{'ns per pair':>20}"
+    )
+    for name, view in views:
+        config = view.config()
+        pairs = count_pairs(view, config)
+        floors = rates.floors(pairs * config.tile_size**2)
+        programs = view.forward(config), view.gradient(config)
+        a, b = (measure(program, view.gaussians, repeats=5).ms for program in programs)
+        print(
+            f"{name:14}{pairs:10}{a:10.1f}{a / floors[0]:7.1f}{b:12.1f}{b / floors[1]:7.1f}"
+            f"{1e6 * a / pairs:10.0f}{1e6 * b / pairs:10.0f}",
+            flush=True,
+        )
 
+
+def main(part: str) -> None:
+    view = load_view()
+    if part == "memory":
+        view = view.resampled(100_000)
+        cost = measure(view.gradient(view.config()), view.gaussians, repeats=3)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(
+            f"\n100,000 Gaussians at 640x480, forward + backward: {cost.ms:.1f} ms, peak memory {peak:.0f} MB"
+        )
+        return
+    rates = Rates.measured()
+    if part == "scene":
+        for factor in (1, 2):
+            scene_table(view.smaller(factor), rates)
+    elif part == "gaussians":
+        counts = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+        growth_table([(f"{count:,}", view.resampled(count)) for count in counts], rates)
+    elif part == "sizes":
+        views = [view.smaller(4), view.smaller(2), view, view.larger(2)]
+        growth_table([(f"{v.camera.width}x{v.camera.height}", v) for v in views], rates)
+    else:
+        raise InputError(f"Unknown part {part!r}; there are {', '.join(PARTS)}.")
+
+
+PARTS = ("scene", "gaussians", "sizes", "memory")
 
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) > 1:
+        main(sys.argv[1])
+    else:
+        for part in PARTS:
+            subprocess.run([sys.executable, "-m", "benchmarks.splatting", part], check=True)
