@@ -25,14 +25,14 @@ class SolverConfig:
     max_damping: float = 1e6
     """Damping at which no step that helps is thought to exist."""
 
-    cost_tolerance: float = 1e-6
+    cost_tolerance: float = 2e-6
     """Converged once the step expects to lower the cost by less than this share of it."""
 
     step_tolerance: float = 1e-7
     """Converged once no coordinate of a step (metres, radians) is larger."""
 
     pcg_tolerance: float = 1e-3
-    """Conjugate gradients: residual at which to stop, as a share of the first, in the preconditioner's norm."""
+    """Conjugate gradients: residual at which to stop, as a share of the first, where preconditioned."""
 
     pcg_max_iterations: int = 200
     """Conjugate gradients: most products with the matrix in one step."""

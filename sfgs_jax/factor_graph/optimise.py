@@ -207,7 +207,7 @@ def _drop(before: Losses, after: Losses, values: Values) -> Float[Array, ""]:
 
 
 def _sum(lanes: Float[Array, " N"]) -> Float[Array, ""]:
-    """Sum in two stages: the rounding error grows with the root of the length of a stage, not of the whole."""
+    """Sum in two stages, so that rounding errors grow with the length of a stage, not of the whole."""
     size = max(1, int(len(lanes) ** 0.5))
     padded = jnp.pad(lanes, (0, -len(lanes) % size))
     return jnp.sum(jnp.sum(padded.reshape(-1, size), axis=0))
