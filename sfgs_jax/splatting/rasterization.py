@@ -52,11 +52,7 @@ def rasterize(
     Raises:
         InputError: `features` has not one row for each Gaussian.
     """
-    if features.ndim != 2 or features.shape[0] != projected.visible.shape[0]:
-        raise InputError(
-            f"features have shape {features.shape}; "
-            f"{projected.visible.shape[0]} Gaussians need one row each, (N, channels)."
-        )
+    require_rows("features", features, projected.visible.shape[0])
     lists = bin_into_tiles(
         jax.lax.stop_gradient(projected),
         width=width,
@@ -77,6 +73,14 @@ def rasterize(
         median=_median(passed, lists, width, height, config.tile_size),
         overflow=lists.overflow,
     )
+
+
+def require_rows(name: str, values: Array, count: int) -> None:
+    """Raise InputError if `values` has not one row for each of `count` Gaussians."""
+    if values.ndim != 2 or values.shape[0] != count:
+        raise InputError(
+            f"{name} have shape {values.shape}; {count} Gaussians need one row each, ({count}, channels)."
+        )
 
 
 def _median(passed: Array, lists: TileLists, width: int, height: int, tile_size: int) -> Int[Array, "h w"]:

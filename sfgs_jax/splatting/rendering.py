@@ -12,7 +12,7 @@ from sfgs_jax.geometry import Camera, InputError
 from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.gaussians import Gaussians
 from sfgs_jax.splatting.projection import project
-from sfgs_jax.splatting.rasterization import rasterize
+from sfgs_jax.splatting.rasterization import rasterize, require_rows
 
 
 class RenderOutput(eqx.Module):
@@ -71,6 +71,8 @@ def render(
         TypeError: it is differentiated in forward mode.
     """
     count = gaussians.means.shape[0]
+    if features is not None:
+        require_rows("features", features, count)
     if colours is not None and colours.shape != (count, 3):
         raise InputError(f"colours have shape {colours.shape}; {count} Gaussians need ({count}, 3).")
     try:

@@ -179,3 +179,5 @@ def test_bad_input_is_refused():
         render(replace(scene, sh=jnp.zeros((N, 5, 3))), camera, T)
     with pytest.raises(InputError, match="need one row each"):
         render(scene, camera, T, None, None, jnp.zeros((N - 1, 3)))
+    with pytest.raises(InputError, match="colours have shape"):
+        render(scene, camera, T, None, jnp.zeros((N - 1, 3)))
