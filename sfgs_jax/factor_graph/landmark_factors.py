@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
@@ -123,7 +124,7 @@ class Reprojection(_Observation):
         self._set_rows(np.asarray(poses).reshape(-1, 1), landmarks, valid, kernel, kernel_width)
         self.pixels = jnp.asarray(pixels)
         self.sigma = jnp.broadcast_to(jnp.asarray(sigma, self.pixels.dtype), (len(self.poses),))
-        self.camera = camera
+        self.camera = jax.tree.map(lambda x: x.astype(self.pixels.dtype), camera)
 
     def measurements(self) -> Any:
         """Pixels and their deviations."""
@@ -193,7 +194,7 @@ class RgbdReprojection(_Observation):
         self.inverse_depth_sigma = jnp.broadcast_to(
             jnp.asarray(inverse_depth_sigma, self.pixels.dtype), count
         )
-        self.camera = camera
+        self.camera = jax.tree.map(lambda x: x.astype(self.pixels.dtype), camera)
 
     def measurements(self) -> Any:
         """Pixels, depths and their deviations."""

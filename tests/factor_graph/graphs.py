@@ -1,0 +1,82 @@
+"""Small graphs with known answers."""
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+
+from sfgs_jax.factor_graph import FactorGraph, PosePrior, RelativePose, Reprojection, Values
+from sfgs_jax.geometry import Camera, se3
+
+CAMERA = Camera(500.0, 510.0, 320.0, 240.0, width=640, height=480)
+
+
+def dtype():
+    return jnp.result_type(float)
+
+
+def random_poses(rng, n: int, scale: float = 0.3) -> jaxlie.SE3:
+    return se3.exp(jnp.asarray(rng.normal(scale=scale, size=(n, 6)), dtype()))
+
+
+def perturb(poses: jaxlie.SE3, rng, scale: float) -> jaxlie.SE3:
+    noise = rng.normal(scale=scale, size=(poses.wxyz_xyz.shape[0], 6))
+    return se3.compose(poses, se3.exp(jnp.asarray(noise, dtype())))
+
+
+def between(poses: jaxlie.SE3, ends) -> jaxlie.SE3:
+    a, b = (jaxlie.SE3(poses.wxyz_xyz[np.asarray(ends)[:, i]]) for i in range(2))
+    return se3.compose(se3.inverse(a), b)
+
+
+def eye(*diagonal: float):
+    return jnp.asarray(np.diag(np.repeat(diagonal, 3)), dtype())
+
+
+def bundle(rng, poses: int = 6, landmarks: int = 40, noise: float = 0.5, **options):
+    """A graph of cameras in a row that look at points in front of them, its start and its truth."""
+    tangents = np.zeros((poses, 6))
+    tangents[:, 0] = 0.2 * np.arange(poses)
+    tangents[:, 3:] = rng.normal(scale=0.03, size=(poses, 3))
+    truth = se3.exp(jnp.asarray(tangents, dtype()))
+    points = rng.uniform([-1.5, -1, 2], [2.5, 1, 5], (landmarks, 3))
+    camera, landmark = (x.reshape(-1) for x in np.mgrid[:poses, :landmarks])
+    seen = rng.uniform(size=len(camera)) < 0.7
+    camera, landmark = camera[seen], landmark[seen]
+    matrices = np.linalg.inv(se3.to_matrices(truth))[camera]
+    local = np.einsum("nij,nj->ni", matrices[:, :3, :3], points[landmark]) + matrices[:, :3, 3]
+    pixels = np.asarray(CAMERA.project(jnp.asarray(local, dtype())))
+    pixels = pixels + rng.normal(scale=noise, size=pixels.shape)
+    ends = np.stack([np.arange(poses - 1), np.arange(1, poses)], axis=1)
+    factors = [
+        PosePrior([0], jaxlie.SE3(truth.wxyz_xyz[:1]), eye(1e4, 1e4)),
+        RelativePose(ends, perturb(between(truth, ends), rng, 0.002), eye(1e4, 1e4)),
+        Reprojection(camera, landmark, jnp.asarray(pixels, dtype()), CAMERA),
+    ]
+    start = Values(
+        perturb(truth, rng, 0.02), jnp.asarray(points + rng.normal(scale=0.05, size=points.shape), dtype())
+    )
+    graph = FactorGraph(factors, num_poses=poses, num_landmarks=landmarks, **options)
+    return graph, start, Values(truth, jnp.asarray(points, dtype()))
+
+
+def ring(rng, n: int = 20, noise: float = 0.01, loops: int = 6, **options):
+    """A pose graph round a circle, from its odometry."""
+    angle = 2 * np.pi * np.arange(n) / n
+    matrices = np.tile(np.eye(4), (n, 1, 1))
+    matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(angle)
+    matrices[:, 1, 0], matrices[:, 0, 1] = np.sin(angle), -np.sin(angle)
+    matrices[:, :2, 3] = 2 * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    truth = jaxlie.SE3(jnp.stack([se3.from_matrix(m, dtype()).wxyz_xyz for m in matrices]))
+    chain = np.stack([np.arange(n - 1), np.arange(1, n)], axis=1)
+    far = np.stack([np.arange(loops), n - 1 - np.arange(loops)], axis=1)
+    ends = np.concatenate([chain, far])
+    measured = perturb(between(truth, ends), rng, noise)
+    information = eye(noise**-2, noise**-2)
+    start = [truth.wxyz_xyz[0]]
+    for i in range(n - 1):
+        start.append(se3.compose(jaxlie.SE3(start[-1]), jaxlie.SE3(measured.wxyz_xyz[i])).wxyz_xyz)
+    factors = [
+        PosePrior([0], jaxlie.SE3(truth.wxyz_xyz[:1]), eye(1e6, 1e6)),
+        RelativePose(ends, measured, information),
+    ]
+    return FactorGraph(factors, num_poses=n, **options), Values(jaxlie.SE3(jnp.stack(start))), Values(truth)

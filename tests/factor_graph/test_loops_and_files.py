@@ -1,0 +1,115 @@
+"""False loop closures, g2o files, pictures."""
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+
+from sfgs_jax.factor_graph import (
+    FactorGraph,
+    PoseGraph,
+    RelativePose,
+    consistent_loops,
+    cost,
+    plot_graph,
+    read_g2o,
+    solve,
+    within_threshold,
+    write_g2o,
+)
+from sfgs_jax.geometry import InputError
+from tests.factor_graph.graphs import eye, random_poses, ring
+
+NOISE = 0.01
+
+
+@pytest.fixture
+def corrupted(rng):
+    """A ring whose 14 true closures come with 6 false ones: prior, chain, closures, which are false, start, truth."""
+    graph, start, truth = ring(rng, n=40, noise=NOISE, loops=14)
+    prior, edges = graph.factors
+    chain, loops = slice(0, 39), slice(39, None)
+    false = np.zeros(20, bool)
+    false[14:] = True
+    ends = np.concatenate([edges.poses[loops], rng.integers(0, 40, (6, 2))])
+    measured = np.concatenate([edges.T_a_b.wxyz_xyz[loops], random_poses(rng, 6, 0.5).wxyz_xyz])
+    odometry = RelativePose(edges.poses[chain], jaxlie.SE3(edges.T_a_b.wxyz_xyz[chain]), eye(1e4, 1e4))
+    return prior, odometry, (ends, jaxlie.SE3(jnp.asarray(measured))), false, start, truth
+
+
+def error(values, truth) -> float:
+    offset = np.asarray(values.poses.wxyz_xyz - truth.poses.wxyz_xyz)[:, 4:]
+    return float(np.sqrt(np.mean(np.sum(offset**2, axis=1))))
+
+
+def solved(prior, odometry, closures, start, **options):
+    loops = RelativePose(*closures, eye(1e4, 1e4), **options)
+    return solve(FactorGraph([prior, odometry, loops], num_poses=40), start).values
+
+
+def test_thirty_percent_of_false_loops_hardly_matter(corrupted):
+    prior, odometry, closures, false, start, truth = corrupted
+    without = error(solved(prior, odometry, closures, start, valid=~false), truth)
+    naive = error(solved(prior, odometry, closures, start), truth)
+    assert naive > 3 * without
+    loops = RelativePose(*closures, eye(1e4, 1e4))
+    kept = consistent_loops(loops, start, drift_metres=0.05, drift_radians=0.02)
+    np.testing.assert_array_equal(kept, ~false)
+    robust = solved(
+        prior,
+        odometry,
+        closures,
+        start,
+        valid=kept,
+        kernel="dynamic_covariance_scaling",
+        kernel_width=3.0,
+    )
+    assert error(robust, truth) < 1.1 * without
+    np.testing.assert_array_equal(within_threshold(loops, robust, max_square=30.0), ~false)
+
+
+def test_the_kernel_alone_keeps_false_loops_out_too(corrupted):
+    prior, odometry, closures, false, start, truth = corrupted
+    without = error(solved(prior, odometry, closures, start, valid=~false), truth)
+    options = {"kernel": "dynamic_covariance_scaling", "kernel_width": 3.0}
+    assert error(solved(prior, odometry, closures, start, **options), truth) < 1.1 * without
+
+
+def test_g2o_files_come_back(tmp_path, rng):
+    graph, start, _ = ring(rng, n=8, loops=2)
+    edges = graph.factors[1]
+    fixed = np.arange(8) == 0
+    written = PoseGraph(start, edges, 10 * np.arange(8), fixed)
+    write_g2o(tmp_path / "a.g2o", written)
+    read = read_g2o(tmp_path / "a.g2o")
+    np.testing.assert_allclose(read.values.poses.wxyz_xyz, start.poses.wxyz_xyz, atol=1e-6)
+    np.testing.assert_allclose(read.edges.T_a_b.wxyz_xyz, edges.T_a_b.wxyz_xyz, atol=1e-6)
+    np.testing.assert_allclose(read.edges.matrices, edges.matrices, rtol=1e-6)
+    np.testing.assert_array_equal(read.edges.poses, edges.poses)
+    np.testing.assert_array_equal(read.vertices, written.vertices)
+    np.testing.assert_array_equal(read.fixed, fixed)
+    again = FactorGraph([read.edges], num_poses=8, free_poses=~read.fixed)
+    np.testing.assert_allclose(
+        cost(again, read.values), cost(FactorGraph([edges], num_poses=8), start), rtol=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1", "line 2 .* EDGE_SE2 is not one of"),
+        ("EDGE_SE3:QUAT 0 1 1 0 0", "line 2 .* needs other numbers"),
+        ("FIX 7", "no VERTEX_SE3:QUAT line for vertex 7"),
+    ],
+)
+def test_other_g2o_lines_are_refused_with_their_place(tmp_path, line, message):
+    path = tmp_path / "b.g2o"
+    path.write_text(f"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n{line}\n")
+    with pytest.raises(InputError, match=message):
+        read_g2o(path)
+
+
+def test_a_picture_is_drawn(tmp_path, rng):
+    graph, start, truth = ring(rng)
+    plot_graph(graph, start, truth, tmp_path / "graph.png")
+    assert (tmp_path / "graph.png").stat().st_size > 10_000

@@ -1,0 +1,260 @@
+"""Solvers against a dense float64 solve, known answers, growth without compiling, and hopeless input."""
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+
+from sfgs_jax.factor_graph import (
+    CustomFactor,
+    FactorGraph,
+    PosePrior,
+    RelativePose,
+    Reprojection,
+    SolverConfig,
+    Status,
+    Values,
+    cost,
+    marginal_covariances,
+    solve,
+    solve_implicit,
+)
+from sfgs_jax.factor_graph.normal_equations import linearise
+from sfgs_jax.factor_graph.optimise import _solve, compute_step
+from sfgs_jax.factor_graph.values import retract
+from sfgs_jax.geometry import InputError, se3
+from tests.factor_graph.graphs import CAMERA, bundle, eye, ring
+
+SOLVERS = ("dense", "sparse", "pcg")
+EXACT = SolverConfig(pcg_tolerance=1e-7, pcg_max_iterations=500)
+
+
+def dense_hessian(graph, values):
+    """Gauss-Newton Hessian and gradient, by automatic differentiation of all whitened residuals."""
+    P, L = graph.num_poses, graph.num_landmarks
+
+    def residuals(flat):
+        moved = retract(values, flat[: 6 * P].reshape(P, 6), flat[6 * P :].reshape(L, 3))
+        parts = []
+        for factor in graph.factors:
+            r, information = factor.residuals(moved)
+            if information is not None:
+                root = jnp.linalg.cholesky(jnp.moveaxis(information, -1, 0))
+                r = jnp.einsum("nji,jn->in", root, r)
+            parts.append(r.reshape(-1))
+        return jnp.concatenate(parts)
+
+    zero = jnp.zeros(6 * P + 3 * L)
+    J, r = jax.jacfwd(residuals)(zero), residuals(zero)
+    return np.asarray(J.T @ J), np.asarray(J.T @ r)
+
+
+def finite(tree) -> bool:
+    return all(bool(np.all(np.isfinite(leaf))) for leaf in jax.tree.leaves(tree))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("make", [bundle, ring])
+def test_a_step_is_that_of_a_dense_solve(float64, rng, make, solver):
+    graph, start, _ = make(rng, linear_solver=solver)
+    damping = 1e-3
+    step = compute_step(graph, linearise(graph, start), jnp.asarray(damping), EXACT)
+    H, g = dense_hessian(graph, start)
+    expected = -np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
+    found = np.concatenate([step.poses.reshape(-1), step.landmarks.reshape(-1)])
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(step.expected, -(g @ found) - found @ H @ found / 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("method", ["levenberg_marquardt", "gauss_newton"])
+def test_every_solver_reaches_the_float64_optimum(rng, solver, method):
+    graph, start, _ = bundle(rng, linear_solver=solver)
+    solution = solve(graph, start, SolverConfig(method=method))
+    assert solution.status == Status.CONVERGED
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(0)
+        graph, start, _ = bundle(rng)
+        best = solve(graph, start, SolverConfig(cost_tolerance=1e-12))
+    np.testing.assert_allclose(solution.cost, best.cost, rtol=1e-4)
+    np.testing.assert_allclose(solution.values.landmarks, best.values.landmarks, atol=2e-3)
+
+
+def test_a_long_graph_is_dissected_and_solved(rng):
+    graph, start, truth = ring(rng, n=200, noise=0.003, loops=20)
+    assert graph.linear_solver == "sparse"
+    assert len(graph.plan.levels) > 3
+    solution = solve(graph, start)
+    assert solution.status == Status.CONVERGED
+    with jax.enable_x64(True):
+        graph, start, _ = ring(np.random.default_rng(0), n=200, noise=0.003, loops=20, linear_solver="dense")
+        best = solve(graph, start, SolverConfig(cost_tolerance=1e-12))
+    np.testing.assert_allclose(solution.cost, best.cost, rtol=1e-3)
+    error = np.asarray(solution.values.poses.wxyz_xyz - truth.poses.wxyz_xyz)[:, 4:]
+    assert np.sqrt(np.mean(error**2)) < 0.1
+
+
+def test_statistics_tell_what_happened(rng):
+    graph, start, _ = bundle(rng)
+    solution = solve(graph, start)
+    n = int(solution.iterations)
+    costs = np.asarray(solution.statistics.cost)
+    np.testing.assert_allclose(costs[0], cost(graph, start), rtol=1e-5)
+    assert np.all(np.diff(costs[:n]) <= 0)
+    assert np.all(np.isnan(costs[n:]))
+    assert bool(solution.statistics.accepted[0])
+    assert solution.cost <= costs[n - 1]
+    assert solve(graph, start, SolverConfig(max_iterations=1)).status == Status.MAX_ITERATIONS
+
+
+def test_fixed_variables_stay(rng):
+    free_poses, free_landmarks = np.ones(6, bool), np.ones(40, bool)
+    free_poses[[0, 3]], free_landmarks[5] = False, False
+    graph, start, _ = bundle(rng, free_poses=free_poses, free_landmarks=free_landmarks)
+    solution = solve(graph, start)
+    assert solution.status == Status.CONVERGED
+    found = solution.values
+    np.testing.assert_allclose(
+        found.poses.wxyz_xyz[~free_poses], start.poses.wxyz_xyz[~free_poses], atol=1e-6
+    )
+    np.testing.assert_array_equal(found.landmarks[5], start.landmarks[5])
+    assert np.all(np.any(found.landmarks != start.landmarks, axis=1)[free_landmarks])
+
+
+def growing(rng, poses: int, observations: int, capacities=None):
+    graph, start, _ = bundle(rng, poses=8, landmarks=60)
+    prior, chain, seen = graph.factors
+    room = 600 - len(seen.valid)
+    pad = lambda x: np.concatenate([np.asarray(x), np.zeros((room, *x.shape[1:]), x.dtype)])  # noqa: E731
+    valid = pad(seen.valid) & (np.arange(600) < observations) & (pad(seen.poses)[:, 0] < poses)
+    pixels = jnp.asarray(np.where(valid[:, None], pad(seen.pixels), np.nan))
+    seen = Reprojection(pad(seen.poses)[:, 0], pad(seen.landmarks), pixels, CAMERA, valid=valid)
+    chain = RelativePose(chain.poses, chain.T_a_b, chain.matrices, valid=chain.poses[:, 1] < poses)
+    touched = np.zeros(60, bool)
+    touched[np.asarray(seen.landmarks)[valid]] = True
+    graph = FactorGraph(
+        [prior, chain, seen],
+        num_poses=8,
+        num_landmarks=60,
+        free_poses=np.arange(8) < poses,
+        free_landmarks=touched,
+        capacities=capacities,
+    )
+    return graph, start
+
+
+def test_a_graph_that_grows_does_not_compile_again():
+    graph, start = growing(np.random.default_rng(0), 7, 250)
+    first = solve(graph, start)
+    before = _solve._cache_size()
+    bigger, start = growing(np.random.default_rng(0), 8, 330, graph.capacities)
+    second = solve(bigger, start)
+    assert _solve._cache_size() == before
+    assert first.status == second.status == Status.CONVERGED
+    assert finite(first.values)
+    assert np.any(first.values.poses.wxyz_xyz[7] != second.values.poses.wxyz_xyz[7])
+
+
+def test_many_small_graphs_at_once():
+    made = [ring(np.random.default_rng(seed), n=6, loops=1) for seed in range(4)]
+    graphs = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y) for y in x]), *(g for g, _, _ in made))
+    starts = jax.tree.map(lambda *x: jnp.stack(x), *(s for _, s, _ in made))
+    together = jax.vmap(_solve, (0, 0, None))(graphs, starts, SolverConfig())
+    for i, (graph, start, _) in enumerate(made):
+        alone = solve(graph, start)
+        assert together.status[i] == alone.status
+        np.testing.assert_allclose(together.cost[i], alone.cost, rtol=1e-3)
+
+
+@pytest.mark.parametrize("method", ["levenberg_marquardt", "gauss_newton"])
+def test_what_nothing_determines_is_called_singular(rng, method):
+    config = SolverConfig(method=method)
+    graph, start, _ = ring(rng, n=5, loops=1)
+    poses = jaxlie.SE3(jnp.concatenate([start.poses.wxyz_xyz, start.poses.wxyz_xyz[-1:]]))
+    alone = FactorGraph(graph.factors, num_poses=6)
+    solution = solve(alone, Values(poses), config)
+    assert solution.status == Status.SINGULAR
+    assert finite(solution.values)
+    np.testing.assert_allclose(solution.values.poses.wxyz_xyz[5], poses.wxyz_xyz[5], atol=1e-6)
+    np.testing.assert_allclose(solution.cost, solve(graph, start, config).cost, rtol=1e-2, atol=1e-3)
+
+    empty = solve(FactorGraph([], num_poses=2), Values(jaxlie.SE3(poses.wxyz_xyz[:2])), config)
+    assert empty.status == Status.SINGULAR
+    assert empty.cost == 0
+
+
+def test_a_landmark_seen_once_keeps_its_depth(rng):
+    prior = PosePrior([0], se3.exp(jnp.zeros((1, 6))), eye(1e6, 1e6))
+    seen = Reprojection([0], [0], jnp.asarray([[330.0, 250.0]]), CAMERA)
+    graph = FactorGraph([prior, seen], num_poses=1, num_landmarks=1)
+    start = Values(se3.exp(jnp.zeros((1, 6))), jnp.asarray([[0.1, 0.1, 2.0]]))
+    solution = solve(graph, start)
+    assert solution.status == Status.CONVERGED
+    np.testing.assert_allclose(solution.values.landmarks[0], [0.04, 0.0392, 2.0], atol=0.01)
+    undamped = solve(graph, start, SolverConfig(method="gauss_newton"))
+    assert undamped.status == Status.SINGULAR
+    assert finite(undamped.values)
+
+
+def test_a_measurement_that_is_not_finite_diverges_and_changes_nothing(rng):
+    graph, start, _ = bundle(rng)
+    prior, chain, seen = graph.factors
+    broken = Reprojection(seen.poses, seen.landmarks, seen.pixels.at[3].set(jnp.nan), CAMERA)
+    solution = solve(FactorGraph([prior, chain, broken], num_poses=6, num_landmarks=40), start)
+    assert solution.status == Status.DIVERGED
+    np.testing.assert_array_equal(solution.values.landmarks, start.landmarks)
+
+
+def test_indices_out_of_range_are_refused(rng):
+    graph, start, _ = ring(rng)
+    with pytest.raises(InputError, match="touches pose 19"):
+        FactorGraph(graph.factors, num_poses=10)
+    with pytest.raises(InputError, match="20 poses"):
+        solve(FactorGraph(graph.factors, num_poses=21), start)
+
+
+def test_marginals_are_blocks_of_the_inverse(float64, rng):
+    graph, start, _ = bundle(rng)
+    values = solve(graph, start).values
+    covariance = np.linalg.inv(dense_hessian(graph, values)[0])
+    found = marginal_covariances(graph, values, poses=np.array([0, 4]), landmarks=np.array([7]))
+    for block, pose in zip(found.poses, (0, 4), strict=True):
+        at = slice(6 * pose, 6 * pose + 6)
+        np.testing.assert_allclose(block, covariance[at, at], rtol=1e-6, atol=1e-12)
+    at = slice(36 + 21, 36 + 24)
+    np.testing.assert_allclose(found.landmarks[0], covariance[at, at], rtol=1e-6, atol=1e-12)
+
+
+def scaled_range(row, poses, landmark):
+    return row["weight"] * (jnp.linalg.norm(poses.wxyz_xyz[0, 4:] - landmark) - row["range"])[None]
+
+
+def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(float64, rng):
+    base, start, _ = bundle(rng, poses=3, landmarks=8)
+
+    def graph(motions, weight):
+        prior, chain, seen = base.factors
+        chain = RelativePose(chain.poses, jaxlie.SE3(motions), chain.matrices)
+        rows = {"range": jnp.full(2, 3.1), "weight": weight}
+        ranges = CustomFactor(scaled_range, [1, 2], rows, landmarks=[0, 1])
+        return FactorGraph([prior, chain, seen, ranges], num_poses=3, num_landmarks=8)
+
+    def outcome(values):
+        return jnp.sum(values.landmarks[:, 2] ** 2) + jnp.sum(values.poses.wxyz_xyz[2, 4:])
+
+    exact = SolverConfig(cost_tolerance=0.0, step_tolerance=1e-11, max_iterations=20)
+    unrolled = SolverConfig(cost_tolerance=0.0, step_tolerance=0.0, max_iterations=12, unrolled=True)
+    arguments = base.factors[1].T_a_b.wxyz_xyz, jnp.asarray([3.0, 5.0])
+    implicit = jax.grad(lambda *a: outcome(solve_implicit(graph(*a), start, exact)), (0, 1))(*arguments)
+    through = jax.grad(lambda *a: outcome(solve(graph(*a), start, unrolled).values), (0, 1))(*arguments)
+    for index, argument in enumerate(arguments):
+        direction = jnp.asarray(rng.normal(size=argument.shape))
+        ends = []
+        for sign in (1e-5, -1e-5):
+            shifted = list(arguments)
+            shifted[index] = argument + sign * direction
+            ends.append(outcome(solve(graph(*shifted), start, exact).values))
+        expected = (ends[0] - ends[1]) / 2e-5
+        np.testing.assert_allclose(jnp.vdot(implicit[index], direction), expected, rtol=1e-4)
+        np.testing.assert_allclose(jnp.vdot(through[index], direction), expected, rtol=1e-3)
