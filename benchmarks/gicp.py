@@ -1,4 +1,4 @@
-"""Registration of depth images: time and error on RedKitchen, beside small_gicp where that is installed.
+"""Registration of depth images: time and error on RedKitchen, beside small_gicp and Open3D where installed.
 
     python -m benchmarks.gicp
 
@@ -95,6 +95,32 @@ def small_gicp(stride: int = 2, voxel: float = 0.05) -> Registration:
     return register
 
 
+def open3d() -> Registration:
+    """Its multi-scale RGB-D odometry on depth alone, point to plane; depth is prepared within it."""
+    import open3d as peer  # pyright: ignore[reportMissingImports]
+
+    odometry, tensor = peer.t.pipelines.odometry, peer.core.Tensor
+    intrinsics = tensor(np.asarray([[585.0, 0, 320.0], [0, 585.0, 240.0], [0, 0, 1]]))
+    black = peer.t.geometry.Image(tensor(np.zeros((480, 640, 3), np.float32)))
+    scales = [odometry.OdometryConvergenceCriteria(n) for n in (10, 5, 3)]
+
+    def image(depth: np.ndarray):
+        return peer.t.geometry.RGBDImage(black, peer.t.geometry.Image(tensor(depth)))
+
+    def register(target_depth: np.ndarray, source_depth: np.ndarray) -> tuple[np.ndarray, Stages]:
+        target = image(target_depth)
+        begin = time.perf_counter()
+        source = image(source_depth)
+        prepared = time.perf_counter()
+        result = odometry.rgbd_odometry_multi_scale(
+            source, target, intrinsics, tensor(np.eye(4)), 1.0, 10.0, scales, odometry.Method.PointToPlane
+        )
+        end = time.perf_counter()
+        return result.transformation.numpy(), {"prepare": prepared - begin, "align": end - prepared}
+
+    return register
+
+
 def measure(name: str, register: Registration, folder: Path, table: Table) -> None:
     register(load(folder, 0)[0], load(folder, 1)[0])
     for gap in GAPS:
@@ -127,8 +153,9 @@ def main() -> None:
     ):
         table.add_column(column, justify="left" if not column else "right")
     measure("sfgs_jax", this_library(), folder, table)
-    if importlib.util.find_spec("small_gicp"):
-        measure("small_gicp", small_gicp(), folder, table)
+    for name, peer in (("small_gicp", small_gicp), ("open3d", open3d)):
+        if importlib.util.find_spec(name):
+            measure(name, peer(), folder, table)
     Console(width=120).print(table)
 
 

@@ -1,4 +1,4 @@
-"""Coarse-to-fine alignment of organised clouds."""
+"""Coarse-to-fine alignment of clouds."""
 
 from functools import partial
 
@@ -6,181 +6,85 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.geometry import InputError, se3
-from sfgs_jax.gicp.cloud import OrganisedCloud, OrganisedLevel
+from sfgs_jax.geometry import InputError
+from sfgs_jax.gicp.assess import assess
+from sfgs_jax.gicp.cloud import OrganisedCloud
 from sfgs_jax.gicp.config import GicpConfig
-from sfgs_jax.gicp.correspondences import (
-    Correspondences,
-    Samples,
-    TargetRows,
-    associate,
-    dot,
-    sample,
-    target_rows,
-)
-from sfgs_jax.gicp.normal_equations import normal_equations, point_moments
-from sfgs_jax.gicp.residuals import kernel_weight, weight_matrices
+from sfgs_jax.gicp.frames import Frames
+from sfgs_jax.gicp.level import level_problem
+from sfgs_jax.gicp.locate import locate
+from sfgs_jax.gicp.point_cloud import PointCloud
+from sfgs_jax.gicp.prior import MotionPrior
 from sfgs_jax.gicp.result import RegistrationResult
 
-_State = tuple[jaxlie.SE3, Int[Array, ""], Bool[Array, ""]]
+Cloud = OrganisedCloud | PointCloud
 
 
 def align(
-    source: OrganisedCloud,
-    target: OrganisedCloud,
+    source: Cloud,
+    target: Cloud,
     init_T_target_source: jaxlie.SE3,
     *,
+    prior: MotionPrior | None = None,
     config: GicpConfig | None = None,
 ) -> RegistrationResult:
     """Motion that lays the source on the target, from a start near it.
 
-    Gauss-Newton with projective correspondences, from the coarsest level to the finest. Correspondences and
-    weights are frozen in each step, as in Segal et al., Generalized-ICP (RSS 2009).
+    Gauss-Newton or Levenberg-Marquardt from the coarsest level to the finest, with projective correspondences
+    in an organised target and nearest neighbours in an unorganised one. Correspondences and weights are
+    frozen in each step, as in Segal et al., Generalized-ICP (RSS 2009). No step goes in a direction that the
+    geometry leaves free; the result names those.
+
+    `T_target_source` is differentiable with respect to everything in the clouds and the prior, by the
+    implicit function theorem at the correspondences found (see `locate`). Its derivative with respect to the
+    start is 0, and nothing else in the result has one.
 
     Args:
-        source: cloud of the frame to locate, from `prepare`.
-        target: cloud of the frame to locate it in, with the same number of levels.
+        source: cloud of the frame to locate, from `prepare` or `prepare_points`.
+        target: cloud of the frame to locate it in, from the same or from `prepare_gaussians`.
         init_T_target_source: where to start.
+        prior: what is known of the motion beforehand, weighed against the residuals by their noise.
         config: settings, `GicpConfig()` if not given.
 
     Raises:
-        InputError: the clouds' levels don't match each other or the config.
+        InputError: the levels of organised clouds don't match the config.
     """
     config = GicpConfig() if config is None else config
-    counts = len(source.levels), len(target.levels), len(config.strides), len(config.max_iterations)
-    if set(counts) != {config.levels}:
-        raise InputError(
-            f"The source has {counts[0]} levels, the target {counts[1]}, the config {config.levels} with "
-            f"{counts[2]} strides and {counts[3]} iteration limits; prepare both clouds with this config."
-        )
-    return _align(source, target, init_T_target_source, config)
+    for name, cloud in (("source", source), ("target", target)):
+        counts = len(cloud.levels), len(config.strides), len(config.max_iterations)
+        if isinstance(cloud, OrganisedCloud) and set(counts) != {config.levels}:
+            raise InputError(
+                f"The {name} has {counts[0]} levels, the config {config.levels} with {counts[1]} strides and "
+                f"{counts[2]} iteration limits; prepare both clouds with this config."
+            )
+    return _align(source, target, init_T_target_source, prior, config)
 
 
 @partial(jax.jit, static_argnames="config")
 def _align(
-    source: OrganisedCloud, target: OrganisedCloud, T: jaxlie.SE3, config: GicpConfig
+    source: Cloud, target: Cloud, T: jaxlie.SE3, prior: MotionPrior | None, config: GicpConfig
 ) -> RegistrationResult:
-    total = jnp.asarray(0)
-    settled = jnp.asarray(False)
-    for i in reversed(range(config.levels)):
-        samples = sample(source.levels[i], config.strides[i])
-        T, iterations, settled = _align_level(samples, target.levels[i], T, i, config)
-        total += iterations
-    samples = sample(source.levels[0], config.strides[0])
-    return _assess(samples, target.levels[0], T, total, settled, config)
-
-
-def _align_level(
-    source: Samples, target: OrganisedLevel, T: jaxlie.SE3, level: int, config: GicpConfig
-) -> _State:
-    moments = point_moments(source.points)
-    rows = target_rows(target)
-
-    def unfinished(state: _State) -> Bool[Array, ""]:
-        _, iteration, settled = state
-        return (iteration < config.max_iterations[level]) & ~settled
-
-    def step(state: _State) -> _State:
-        T, iteration, _ = state
-        pairs = _associate(source, rows, T, level, config)
-        residuals = source.points - pairs.points
-        weights = weight_matrices(
-            source.normals, pairs.normals, residual=config.residual, epsilon=config.epsilon
-        )
-        weights = weights * _confidence(source, pairs, level, config)
-        hessian, gradient = normal_equations(moments, weights, residuals)
-        delta = -_solve(hessian, gradient, config.damping)
-        settled = (jnp.sum(delta[:3] ** 2) < config.tolerance**2) & (
-            jnp.sum(delta[3:] ** 2) < config.tolerance**2
-        )
-        return se3.compose(T, se3.exp(delta)), iteration + 1, settled
-
-    return lax.while_loop(unfinished, step, (T, jnp.asarray(0), jnp.asarray(False)))
-
-
-def _associate(
-    source: Samples, target: TargetRows, T: jaxlie.SE3, level: int, config: GicpConfig
-) -> Correspondences:
-    return associate(
-        source,
-        target,
-        T,
-        max_distance=config.max_distance * 2**level,
-        min_normal_cosine=config.min_normal_cosine,
-    )
-
-
-def _normal_distance(source: Samples, pairs: Correspondences) -> Float[Array, " N"]:
-    """Distance along the mean of the two normals, metres: what the residual is judged by."""
-    mean = source.normals + pairs.normals
-    along = dot(source.points - pairs.points, mean)
-    return along * lax.rsqrt(jnp.where(pairs.found, dot(mean, mean), 1))
-
-
-def _deviation(source: Samples, config: GicpConfig) -> Float[Array, " N"]:
-    """Standard deviation expected of a distance along the normal, metres."""
-    return config.noise + config.noise_per_square_metre * source.points[2] ** 2
-
-
-def _confidence(
-    source: Samples, pairs: Correspondences, level: int, config: GicpConfig
-) -> Float[Array, " N"]:
-    """Inverse variance times robust weight; 0 without a correspondence."""
-    variance = _deviation(source, config) ** 2
-    square = _normal_distance(source, pairs) ** 2 / variance
-    robust = kernel_weight(square, config.kernel, config.kernel_width * 2**level)
-    return jnp.where(pairs.found, robust / variance, 0)
-
-
-def _solve(hessian: Float[Array, "6 6"], gradient: Float[Array, "6"], damping: float) -> Float[Array, "6"]:
-    """Damped solution; 0 where there is nothing to solve. Columns are scaled first, for float32."""
-    diagonal = jnp.diagonal(hessian)
-    known = diagonal > 0
-    scale = jnp.where(known, lax.rsqrt(jnp.where(known, diagonal, 1)), 0)
-    scaled = hessian * scale[:, None] * scale[None, :]
-    damped = scaled + jnp.diag(jnp.where(known, damping, 1).astype(hessian.dtype))
-    return scale * jax.scipy.linalg.solve(damped, scale * gradient, assume_a="pos")
-
-
-def _assess(
-    source: Samples,
-    target: OrganisedLevel,
-    T: jaxlie.SE3,
-    iterations: Int[Array, ""],
-    settled: Bool[Array, ""],
-    config: GicpConfig,
-) -> RegistrationResult:
-    """How well the finest level fits, and how firmly that fixes the motion.
-
-    What a projective correspondence misses across the normal is found by no residual (the next pixel is
-    always near), so only distances along the normals inform, unless all that is asked for is points.
-    """
-    pairs = _associate(source, target_rows(target), T, 0, config)
-    distance = _normal_distance(source, pairs)
-    inlier = pairs.found & (jnp.abs(distance) < config.inlier_width * _deviation(source, config))
-    share = inlier.astype(distance.dtype)
-    count = jnp.sum(share)
-    fraction = count / jnp.maximum(jnp.sum(source.valid.astype(distance.dtype)), 1)
-    rmse = jnp.sqrt(jnp.sum(share * distance**2) / jnp.maximum(count, 1))
-
-    residual = "point_to_point" if config.residual == "point_to_point" else "point_to_plane"
-    directions = weight_matrices(source.normals, pairs.normals, residual=residual, epsilon=config.epsilon)
-    moments, residuals = point_moments(source.points), source.points - pairs.points
-    confidence = _confidence(source, pairs, 0, config) * share
-    hessian, _ = normal_equations(moments, directions * confidence, residuals)
-    excess = jnp.sum(confidence * distance**2) / jnp.maximum(
-        jnp.sum(confidence * _deviation(source, config) ** 2), 1
-    )
-    shared = max(1.0, ((2 * config.radius + 1) / config.strides[0]) ** 2)
-    information = hessian / (shared * jnp.maximum(excess, 0.01))
-
-    geometry, _ = normal_equations(moments, directions * share, residuals)
-    spread = jnp.sqrt(jnp.sum(share * source.points**2) / jnp.maximum(count, 1))
-    unit = jnp.where(jnp.arange(6) < 3, 1, 1 / jnp.maximum(spread, 1e-3))
-    values, vectors = jnp.linalg.eigh(geometry * unit[:, None] * unit[None, :] / jnp.maximum(count, 1))
-    converged = settled & (count >= config.min_inliers) & (fraction >= config.min_inlier_fraction)
+    frames = Frames(_origin(source), _origin(target))
+    centred_prior = None if prior is None else frames.centred_prior(prior)
+    found = locate(source.levels, target.levels, frames.centred(T), centred_prior, config)
+    # Nothing but the motion has derivatives: those of eigenvectors that are not unique would be NaN.
+    finest = level_problem(source.levels, target.levels, None, 0, config)
+    result = assess(*lax.stop_gradient((finest, found)), config)
     return RegistrationResult(
-        T, information, rmse, fraction, iterations, converged, values, vectors * unit[:, None]
+        frames.given(found.T_target_source),
+        frames.given_information(result.information),
+        result.rmse,
+        result.inlier_fraction,
+        result.iterations,
+        result.converged,
+        result.observability,
+        frames.given_tangents(result.directions),
+        result.free,
     )
+
+
+def _origin(cloud: Cloud) -> jax.Array:
+    if isinstance(cloud, PointCloud):
+        return cloud.origin
+    return jnp.zeros(3, cloud.levels[0].points.dtype)

@@ -1,15 +1,54 @@
-"""Settings of depth registration."""
+"""Settings of registration."""
 
 from dataclasses import dataclass
 from typing import Literal
 
+from sfgs_jax.geometry.robust_kernels import Kernel
+
 Residual = Literal["point_to_point", "point_to_plane", "gicp"]
-Kernel = Literal["none", "huber", "geman_mcclure"]
+TargetCovariance = Literal["isotropic", "map", "neighbours"]
+Optimizer = Literal["gauss_newton", "levenberg_marquardt"]
+
+
+@dataclass(frozen=True)
+class PointsConfig:
+    """Settings of `prepare_points` and `prepare_gaussians`; static, so a change compiles anew."""
+
+    levels: int = 4
+    """Resolutions, each with voxels of twice the size."""
+
+    voxel_size: float | None = None
+    """Edge of the finest voxels, metres; None fits it to the cloud's extent and to `max_points`."""
+
+    relative_voxel_size: float = 0.025
+    """Least edge of the finest voxels where they are fitted, as a share of the cloud's median radius."""
+
+    max_points: int = 16384
+    """Most voxels at the finest level, half as many at each coarser one: what memory and time depend on."""
+
+    slots: int = 128
+    """Most neighbours looked at for one point: a voxel neighbourhood on a surface holds some 40."""
+
+    doublings: int = 2
+    """How often the search for k neighbours is widened, in steps of two, from cells of two voxels."""
+
+    min_neighbours: int = 6
+    """A point with fewer has no normal and is left out."""
+
+    min_flatness: float = 0.01
+    """A neighbourhood is a line rather than a plane, and left out, if of its two larger variances the
+    smaller is below about this share of the larger."""
+
+    min_deviation: float = 0.01
+    """Least standard deviation of a distance from a plane, as a share of the voxel's edge."""
 
 
 @dataclass(frozen=True)
 class GicpConfig:
-    """Settings of `prepare` and `align`; static, so a change compiles anew."""
+    """Settings of `prepare` and `align`; static, so a change compiles anew.
+
+    What is given per level counts from the finest; levels beyond the list take its last value.
+    """
 
     levels: int = 3
     """Resolutions in the pyramid, each half the one before."""
@@ -27,7 +66,10 @@ class GicpConfig:
     """Per level from the finest: every stride-th row and column of the source is aligned."""
 
     max_iterations: tuple[int, ...] = (12, 8, 8)
-    """Per level from the finest: most Gauss-Newton steps."""
+    """Per level from the finest: most steps."""
+
+    optimizer: Optimizer = "gauss_newton"
+    """`levenberg_marquardt` takes a step only if it lowers the cost, at the damping that does."""
 
     residual: Residual = "gicp"
     """What a correspondence measures. A projective correspondence lies on the viewing ray, so
@@ -38,6 +80,9 @@ class GicpConfig:
 
     max_distance: float = 0.1
     """Correspondences farther apart are dropped, metres at the finest level; doubled at each coarser one."""
+
+    max_voxels: float = 2.0
+    """The same for unorganised targets, in voxels of the level; 1 to 2 is what the search reaches."""
 
     min_normal_cosine: float = 0.7
     """Correspondences whose normals differ more are dropped."""
@@ -55,7 +100,15 @@ class GicpConfig:
     """What a depth of z metres adds to that deviation, times z²: a structured-light sensor's 0.0015."""
 
     damping: float = 1e-4
-    """Added to the normal equations, as a share of their diagonal."""
+    """Added to the normal equations, as a share of their diagonal; where Levenberg-Marquardt starts."""
+
+    min_observability: float = 0.005
+    """A direction of motion is free if the distance along the normals that a unit motion makes has a smaller
+    mean square: errors of the normals of 0.05 rad make 0.0025 of none."""
+
+    step_observability: float = 0.0005
+    """No step goes along a direction below this. It is lower because correspondences far from the answer are
+    few and lopsided, and then show less of a direction than there is."""
 
     tolerance: float = 2e-4
     """A level is done when a step is shorter than this, metres and radians."""

@@ -1,12 +1,21 @@
-"""Projective data association: a source point meets the target surface its pixel sees."""
+"""Data association: for each source point the target surface that it meets.
+
+In an organised target that is what the point's pixel sees, in an unorganised one the nearest point.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
 import jaxlie
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.gicp.cloud import OrganisedLevel
+from sfgs_jax.gicp.config import GicpConfig
+from sfgs_jax.gicp.point_cloud import PointLevel
+from sfgs_jax.gicp.spatial_hash import SpatialHash, nearest
+from sfgs_jax.gicp.symmetric import INDICES, Symmetric, smallest_eigenpair
+
+NEAREST_SLOTS = 32
 
 
 class Samples(eqx.Module):
@@ -15,24 +24,35 @@ class Samples(eqx.Module):
     Attributes:
         points: (3, N) metres, source coordinates.
         normals: (3, N) unit normals.
+        variance: (N,) or (1,) variance expected of a distance along the normal, square metres.
         valid: (N,) mask.
+        oriented: whether the normals face the sensor; else they have either sign. Static.
     """
 
     points: Float[Array, "3 N"]
     normals: Float[Array, "3 N"]
+    variance: Float[Array, " V"]
     valid: Bool[Array, " N"]
+    oriented: bool = eqx.field(static=True)
 
 
-class TargetRows(eqx.Module):
-    """Target surface, one pixel a row: a row is what a gather copies at once.
+class Target(eqx.Module):
+    """Target surface, one pixel or point a row: a row is what a gather copies at once.
 
     Attributes:
-        rows: (H * W, 6) point and normal of each pixel, 0 where there is no surface.
-        camera: intrinsics of that image.
+        rows: (M, 6) point and normal of each pixel or point, 0 where there is no surface; (M, 9) with the
+            triangle of the shape instead of the normal for Gaussians; (M, 3) where the target has neither.
+        variance: what the target adds to a distance's variance, square metres.
+        max_distance: farthest that a correspondence may be, metres.
+        search: camera of an organised target, hash of an unorganised one.
+        oriented: whether the normals face the sensor; static.
     """
 
-    rows: Float[Array, "M 6"]
-    camera: Camera
+    rows: Float[Array, "M C"]
+    variance: Float[Array, ""]
+    max_distance: Float[Array, ""]
+    search: Camera | SpatialHash
+    oriented: bool = eqx.field(static=True)
 
 
 class Correspondences(eqx.Module):
@@ -42,24 +62,56 @@ class Correspondences(eqx.Module):
 
     Attributes:
         points: (3, N) target points, metres.
-        normals: (3, N) target normals.
+        normals: (3, N) target normals; the source's own where the target has none.
+        shapes: (6, N) covariances of a Gaussian target, the largest variance about 1; else None.
+        variance: (N,) variance expected of a distance along the normal, square metres.
         found: (N,) whether there is one that passes the gates.
     """
 
     points: Float[Array, "3 N"]
     normals: Float[Array, "3 N"]
+    shapes: Symmetric | None
+    variance: Float[Array, " N"]
     found: Bool[Array, " N"]
 
 
-def sample(level: OrganisedLevel, stride: int) -> Samples:
-    """Every stride-th row and column of a level."""
+def samples_of(level: OrganisedLevel | PointLevel, stride: int, config: GicpConfig) -> Samples:
+    """A level's points as source: of an organised one every stride-th row and column."""
+    if isinstance(level, PointLevel):
+        variance = level.deviation[None] ** 2
+        return Samples(level.points.T, level.normals.T, variance, level.valid, oriented=False)
     points, normals, valid = (x[::stride, ::stride] for x in (level.points, level.normals, level.valid))
-    return Samples(points.reshape(-1, 3).T, normals.reshape(-1, 3).T, valid.reshape(-1))
+    rows = points.reshape(-1, 3).T
+    variance = (config.noise + config.noise_per_square_metre * rows[2] ** 2) ** 2
+    return Samples(rows, normals.reshape(-1, 3).T, variance, valid.reshape(-1), oriented=True)
 
 
-def target_rows(level: OrganisedLevel) -> TargetRows:
-    """A level, laid out for `associate`."""
-    return TargetRows(jnp.concatenate([level.points, level.normals], axis=-1).reshape(-1, 6), level.camera)
+def target_of(level: OrganisedLevel | PointLevel, index: int, config: GicpConfig) -> Target:
+    """A level as target; `index` counts from the finest."""
+    if isinstance(level, OrganisedLevel):
+        rows = jnp.concatenate([level.points, level.normals], axis=-1).reshape(-1, 6)
+        zero = jnp.zeros((), rows.dtype)
+        return Target(rows, zero, zero + config.max_distance * 2**index, level.camera, oriented=True)
+    match level.covariance:
+        case "neighbours":
+            rows = jnp.concatenate([level.points, level.normals], axis=1)
+        case "map":
+            rows = jnp.concatenate([level.points, _shapes(level.covariances, config.epsilon)], axis=1)
+        case "isotropic":
+            rows = level.points
+    reach = config.max_voxels * level.voxel_size
+    return Target(rows, level.deviation**2, reach, level.grid, oriented=False)
+
+
+def _shapes(covariances: Float[Array, "M 3 3"], epsilon: float) -> Float[Array, "M 6"]:
+    """Covariances divided by their largest variance, with at least `epsilon` in every direction."""
+    entries = jnp.stack([covariances[:, i, j] for i, j in INDICES])
+    trace = entries[0] + entries[3] + entries[5]
+    unit = jnp.stack([jnp.full_like(trace, float(i == j)) for i, j in INDICES])
+    # The largest variance is what the smallest one of (trace I - A) is short of the trace.
+    largest = trace - smallest_eigenpair(trace * unit - entries)[0]
+    scaled = entries / jnp.where(largest > 0, largest, 1)
+    return ((1 - epsilon) * scaled + epsilon * unit).T
 
 
 def dot(a: Float[Array, "3 N"], b: Float[Array, "3 N"]) -> Float[Array, " N"]:
@@ -68,39 +120,70 @@ def dot(a: Float[Array, "3 N"], b: Float[Array, "3 N"]) -> Float[Array, " N"]:
 
 
 def associate(
-    source: Samples,
-    target: TargetRows,
-    T_target_source: jaxlie.SE3,
-    *,
-    max_distance: float,
-    min_normal_cosine: float,
-) -> Correspondences:
-    """Project each source point into the target and take the surface at the nearest pixel.
+    source: Samples, target: Target, T_target_source: jaxlie.SE3, config: GicpConfig
+) -> tuple[Correspondences, Int[Array, " N"]]:
+    """Correspondences at a motion, and the target's row of each."""
+    index, inside = _find(source, target, T_target_source)
+    pairs = pair(source, target, T_target_source, index, inside)
+    offset = source.points - pairs.points
+    near = dot(offset, offset) < target.max_distance**2
+    # A pixel without a surface has a zero normal, which fails here.
+    alike = dot(pairs.normals, source.normals) > config.min_normal_cosine
+    return eqx.tree_at(lambda p: p.found, pairs, inside & near & alike), index
 
-    Args:
-        source: points to find correspondences for.
-        target: organised target.
-        T_target_source: motion to project with.
-        max_distance: farthest a correspondence may be, metres.
-        min_normal_cosine: least cosine of the angle between the two normals.
-    """
-    camera = target.camera
+
+def _find(
+    source: Samples, target: Target, T_target_source: jaxlie.SE3
+) -> tuple[Int[Array, " N"], Bool[Array, " N"]]:
+    """Row of the target that each source point meets, and whether there is one."""
     rotation, translation = se3.rotation_matrix(T_target_source), T_target_source.wxyz_xyz[4:]
-    x, y, z = rotation @ source.points + translation[:, None]
+    moved = rotation @ source.points + translation[:, None]
+    if isinstance(target.search, SpatialHash):
+        index, found = nearest(target.search, moved, slots=NEAREST_SLOTS)
+        return index, found & source.valid
+    camera = target.search
+    x, y, z = moved
     inverse = 1 / jnp.maximum(z, 1e-6)
     u = jnp.round(camera.fx * x * inverse + camera.cx)
     v = jnp.round(camera.fy * y * inverse + camera.cy)
     inside = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & source.valid
-    index = jnp.where(inside, v * camera.width + u, 0).astype(jnp.int32)
-    rows = target.rows.at[index].get(mode="promise_in_bounds")
+    return jnp.where(inside, v * camera.width + u, 0).astype(jnp.int32), inside
 
-    # One product turns points and normals into source coordinates and rows into columns.
-    turn = jnp.zeros((6, 6), rotation.dtype).at[:3, :3].set(rotation.T).at[3:, 3:].set(rotation.T)
+
+def pair(
+    source: Samples,
+    target: Target,
+    T_target_source: jaxlie.SE3,
+    index: Int[Array, " N"],
+    found: Bool[Array, " N"],
+) -> Correspondences:
+    """Given rows of the target, in source coordinates."""
+    rotation, translation = se3.rotation_matrix(T_target_source), T_target_source.wxyz_xyz[4:]
+    rows = target.rows.at[index].get(mode="promise_in_bounds")
+    width = rows.shape[1]
+
+    # One product turns everything into source coordinates and rows into columns.
+    turn = jnp.zeros((width, width), rotation.dtype).at[:3, :3].set(rotation.T)
+    if width == 6:
+        turn = turn.at[3:, 3:].set(rotation.T)
+    elif width == 9:
+        turn = turn.at[3:, 3:].set(_turn_symmetric(rotation.T))
     turned = turn @ rows.T
     points = turned[:3] - (rotation.T @ translation)[:, None]
-    normals = turned[3:]
-    offset = source.points - points
-    near = dot(offset, offset) < max_distance**2
-    # A pixel without a surface has a zero normal, which fails here.
-    alike = dot(normals, source.normals) > min_normal_cosine
-    return Correspondences(points, normals, inside & near & alike)
+    normals, shapes = source.normals, None
+    if width == 6:
+        normals = turned[3:]
+        if not (source.oriented and target.oriented):
+            normals = jnp.where(dot(normals, source.normals) < 0, -normals, normals)
+    elif width == 9:
+        shapes = turned[3:]
+    variance = jnp.broadcast_to(source.variance + target.variance, found.shape)
+    return Correspondences(points, normals, shapes, variance, found)
+
+
+def _turn_symmetric(rotation: Float[Array, "3 3"]) -> Float[Array, "6 6"]:
+    """What takes the triangle of A to that of R A R^T."""
+    full = jnp.einsum("ia,jb->ijab", rotation, rotation)
+    columns = [full[:, :, a, b] if a == b else full[:, :, a, b] + full[:, :, b, a] for a, b in INDICES]
+    stacked = jnp.stack(columns, axis=-1)
+    return jnp.stack([stacked[i, j] for i, j in INDICES])

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.gicp.residuals import COLUMNS, ROWS
+from sfgs_jax.gicp.symmetric import SQUARE
 
 
 def _jacobian_tensor() -> np.ndarray:
@@ -17,9 +17,7 @@ def _jacobian_tensor() -> np.ndarray:
 
 
 _JACOBIAN = _jacobian_tensor()
-# Where each entry of a symmetric 3 x 3 (4 x 4) matrix stands in the list of its upper triangle.
-_WEIGHT_INDEX = np.zeros((3, 3), np.int32)
-_WEIGHT_INDEX[ROWS, COLUMNS] = _WEIGHT_INDEX[COLUMNS, ROWS] = range(6)
+# Where each entry of a symmetric 4 x 4 matrix stands in the list of its upper triangle.
 _PAIRS = np.triu_indices(4)
 _PAIR_INDEX = np.zeros((4, 4), np.int32)
 _PAIR_INDEX[_PAIRS] = _PAIR_INDEX[_PAIRS[::-1]] = range(10)
@@ -44,10 +42,19 @@ def normal_equations(
         weights: symmetric 3 x 3 weights, xx xy xz yy yz zz; 0 leaves a point out.
         residuals: p - q, metres.
     """
-    pulls = [sum(weights[_WEIGHT_INDEX[a, b]] * residuals[b] for b in range(3)) for a in range(3)]
+    pulls = [sum(weights[SQUARE[a, b]] * residuals[b] for b in range(3)) for a in range(3)]
     sums = jnp.concatenate([weights, jnp.stack(pulls)]) @ moments.T
-    second = sums[_WEIGHT_INDEX][:, :, _PAIR_INDEX]
     first = sums[6:][:, _PAIR_INDEX[:, 3]]
-    jacobian = jnp.asarray(_JACOBIAN, moments.dtype)
-    hessian = jnp.einsum("amk,bnl,abkl->mn", jacobian, jacobian, second)
-    return hessian, jnp.einsum("amk,ak->m", jacobian, first)
+    gradient = jnp.einsum("amk,ak->m", jnp.asarray(_JACOBIAN, moments.dtype), first)
+    return _hessian(sums[SQUARE]), gradient
+
+
+def isotropic_hessian(moments: Float[Array, "10 N"], weights: Float[Array, " N"]) -> Float[Array, "6 6"]:
+    """Hessian where all directions of a point's residual weigh alike."""
+    sums = weights @ moments.T
+    return _hessian(jnp.eye(3, dtype=moments.dtype)[:, :, None] * sums)
+
+
+def _hessian(sums: Float[Array, "3 3 10"]) -> Float[Array, "6 6"]:
+    jacobian = jnp.asarray(_JACOBIAN, sums.dtype)
+    return jnp.einsum("amk,bnl,abkl->mn", jacobian, jacobian, sums[:, :, _PAIR_INDEX])

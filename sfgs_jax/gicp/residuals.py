@@ -5,11 +5,8 @@ from typing import assert_never
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sfgs_jax.gicp.config import Kernel, Residual
-
-# Rows and columns of the six entries xx, xy, xz, yy, yz, zz of a symmetric 3 x 3 matrix.
-ROWS = (0, 0, 0, 1, 1, 2)
-COLUMNS = (0, 1, 2, 1, 2, 2)
+from sfgs_jax.gicp.config import Residual
+from sfgs_jax.gicp.symmetric import INDICES, Symmetric, symmetric_inverse
 
 
 def weight_matrices(
@@ -29,12 +26,11 @@ def weight_matrices(
     s + t and s - t, so the inverse needs no matrix inversion.
     """
     s, t = source_normals, target_normals
-    entries = tuple(zip(ROWS, COLUMNS, strict=True))
     match residual:
         case "point_to_point":
-            return jnp.stack([jnp.full_like(s[0], float(i == j)) for i, j in entries])
+            return jnp.stack([jnp.full_like(s[0], float(i == j)) for i, j in INDICES])
         case "point_to_plane":
-            return jnp.stack([t[i] * t[j] for i, j in entries])
+            return jnp.stack([t[i] * t[j] for i, j in INDICES])
         case "gicp":
             k, cosine = 1 - epsilon, s[0] * t[0] + s[1] * t[1] + s[2] * t[2]
             along = epsilon * k / (4 - 2 * k * (1 + cosine))
@@ -43,22 +39,18 @@ def weight_matrices(
             return jnp.stack(
                 [
                     epsilon * (i == j) + along * mean[i] * mean[j] + across * difference[i] * difference[j]
-                    for i, j in entries
+                    for i, j in INDICES
                 ]
             )
         case _:
             assert_never(residual)
 
 
-def kernel_weight(square: Float[Array, " N"], kernel: Kernel, width: float) -> Float[Array, " N"]:
-    """Weight of a squared residual, in variances, in iteratively reweighted least squares."""
-    match kernel:
-        case "none":
-            return jnp.ones_like(square)
-        case "huber":
-            large = square > width**2
-            return jnp.where(large, width / jnp.sqrt(jnp.where(large, square, 1)), 1)
-        case "geman_mcclure":
-            return 1 / (1 + square / width**2) ** 2
-        case _:
-            assert_never(kernel)
+def shape_weights(
+    source_normals: Float[Array, "3 N"], target_shapes: Symmetric, *, epsilon: float
+) -> Float[Array, "6 N"]:
+    """`gicp` weights where the target's covariances are given, with a largest variance of 1."""
+    s, keep = source_normals, 1 - epsilon
+    source = jnp.stack([float(i == j) - keep * s[i] * s[j] for i, j in INDICES])
+    inverse, _ = symmetric_inverse(source + target_shapes)
+    return 2 * epsilon * inverse

@@ -15,12 +15,14 @@ class RegistrationResult(eqx.Module):
             the normals count, so along a bare wall it is zero.
         rmse: root mean square distance along the normals of the inliers, metres.
         inlier_fraction: share of the source's points, as sampled at the finest level, that lie on the target.
-        iterations: Gauss-Newton steps over all levels.
+        iterations: steps over all levels.
         converged: the last steps were short, and there are enough inliers.
         observability: (6,) ascending, how well the geometry fixes each direction of motion: the mean of the
             squared distance along the normal that a unit motion makes, rotations as arc length at the
-            cloud's radius. Below about 0.01 that direction is free.
+            cloud's radius.
         directions: (6, 6) the directions as columns, tangent vectors of the motion.
+        free: (6,) which of the directions the geometry leaves free, by `GicpConfig.min_observability`: the
+            motion keeps along them what it started with.
     """
 
     T_target_source: jaxlie.SE3
@@ -31,3 +33,4 @@ class RegistrationResult(eqx.Module):
     converged: Bool[Array, ""]
     observability: Float[Array, "6"]
     directions: Float[Array, "6 6"]
+    free: Bool[Array, "6"]

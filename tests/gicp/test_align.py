@@ -10,7 +10,7 @@ import pytest
 from sfgs_jax.geometry import Camera, InputError, se3
 from sfgs_jax.gicp import GicpConfig, OrganisedCloud, RegistrationResult, align, prepare
 from sfgs_jax.gicp.align import _align
-from sfgs_jax.gicp.correspondences import associate, sample, target_rows
+from sfgs_jax.gicp.correspondences import associate, samples_of, target_of
 from tests.gicp.scenes import WALL, cast, motion_error
 
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
@@ -90,14 +90,8 @@ def test_the_information_matrix_is_that_of_a_dense_computation(corner):
     result = align(source, target, se3.identity(), config=CONFIG)
 
     T = np.asarray(se3.matrix(result.T_target_source), np.float64)
-    level = sample(source.levels[0], CONFIG.strides[0])
-    pairs = associate(
-        level,
-        target_rows(target.levels[0]),
-        result.T_target_source,
-        max_distance=CONFIG.max_distance,
-        min_normal_cosine=CONFIG.min_normal_cosine,
-    )
+    level = samples_of(source.levels[0], CONFIG.strides[0], CONFIG)
+    pairs, _ = associate(level, target_of(target.levels[0], 0, CONFIG), result.T_target_source, CONFIG)
     information, excess, weight = np.zeros((6, 6)), 0.0, 0.0
     for n in np.flatnonzero(pairs.found):
         p, q, t = (np.asarray(x, np.float64)[:, n] for x in (level.points, pairs.points, pairs.normals))

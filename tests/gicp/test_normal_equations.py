@@ -3,11 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp.normal_equations import normal_equations, point_moments
-from sfgs_jax.gicp.residuals import COLUMNS, ROWS, kernel_weight, weight_matrices
+from sfgs_jax.gicp.residuals import weight_matrices
+from sfgs_jax.gicp.symmetric import SQUARE
 
 
 def unit_columns(rng, n: int) -> np.ndarray:
@@ -17,10 +17,7 @@ def unit_columns(rng, n: int) -> np.ndarray:
 
 def full(weights) -> np.ndarray:
     """(N, 3, 3) matrices of (6, N) upper triangles."""
-    weights = np.asarray(weights)
-    matrices = np.zeros((weights.shape[1], 3, 3))
-    matrices[:, ROWS, COLUMNS] = matrices[:, COLUMNS, ROWS] = weights.T
-    return matrices
+    return np.asarray(weights)[SQUARE].transpose(2, 0, 1)
 
 
 def test_hessian_and_gradient_are_those_of_the_perturbed_residual(float64, rng):
@@ -57,18 +54,3 @@ def test_point_to_plane_sees_only_the_target_normal_and_point_to_point_everythin
     np.testing.assert_allclose(plane, np.einsum("an,bn->nab", t, t), rtol=1e-6)
     point = full(weight_matrices(s, t, residual="point_to_point", epsilon=0.01))
     np.testing.assert_array_equal(point, np.broadcast_to(np.eye(3), (5, 3, 3)))
-
-
-@pytest.mark.parametrize(
-    ("kernel", "loss"),
-    [
-        ("none", lambda e: e**2 / 2),
-        ("huber", lambda e: jnp.where(jnp.abs(e) < 2, e**2 / 2, 2 * (jnp.abs(e) - 1))),
-        ("geman_mcclure", lambda e: e**2 / 2 / (1 + e**2 / 4)),
-    ],
-)
-def test_kernel_weights_are_the_slope_of_their_loss(float64, kernel, loss):
-    residuals = jnp.asarray([0.1, 1.0, 1.9, 2.5, 10.0])
-    slopes = jax.vmap(jax.grad(loss))(residuals)
-    np.testing.assert_allclose(kernel_weight(residuals**2, kernel, 2.0) * residuals, slopes, rtol=1e-10)
-    assert kernel_weight(jnp.zeros(1), kernel, 2.0)[0] == 1

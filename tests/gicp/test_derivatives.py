@@ -1,0 +1,102 @@
+"""Derivatives of the aligned pose against finite differences of the whole alignment, in float64."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.gicp import (
+    GicpConfig,
+    MotionPrior,
+    PointsConfig,
+    align,
+    prepare,
+    prepare_gaussians,
+    prepare_points,
+)
+from tests.gicp.scenes import cast
+from tests.gicp.test_point_clouds import MOTION, moved, room
+
+# Steps down to rounding, so that a difference of two alignments is that of two optima.
+CONFIG = GicpConfig(levels=1, strides=(1,), max_iterations=(60,), tolerance=1e-13, damping=1e-12)
+POINTS = PointsConfig(levels=1, voxel_size=0.12, max_points=1024)
+CAMERA = Camera(75.0, 75.0, 39.5, 29.5, width=80, height=60)
+
+
+def compare(motion, inputs: tuple, rng, *, step: float) -> None:
+    """Rate along a random direction by the derivative and by central differences."""
+    rates = tuple(jnp.asarray(rng.normal(size=x.shape)) for x in inputs)
+    _, found = jax.jvp(motion, inputs, rates)
+    up, down = (motion(*(x + s * step * r for x, r in zip(inputs, rates, strict=True))) for s in (1, -1))
+    expected = (up - down) / (2 * step)
+    assert np.abs(expected).max() > 1e-4
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
+    # Reverse mode is its transpose.
+    weights = jnp.asarray(rng.normal(size=found.shape))
+    gradients = jax.grad(lambda *x: weights @ motion(*x), argnums=tuple(range(len(inputs))))(*inputs)
+    product = sum(float(jnp.sum(g * r)) for g, r in zip(gradients, rates, strict=True))
+    np.testing.assert_allclose(product, weights @ found, rtol=1e-6)
+
+
+def test_with_respect_to_depth(float64, rng):
+    motion = np.asarray(se3.matrix(se3.exp(jnp.asarray([0.02, -0.01, 0.02, 0.01, -0.02, 0.01]))))
+    noise = rng.normal(scale=0.002, size=(2, *CAMERA.shape))
+    target, source = (
+        jnp.asarray(cast(CAMERA, T), jnp.float64) + n for T, n in zip((None, motion), noise, strict=True)
+    )
+
+    def pose(source, target):
+        clouds = (prepare(x, CAMERA, config=CONFIG) for x in (source, target))
+        return align(*clouds, se3.from_matrix(motion, jnp.float64), config=CONFIG).T_target_source.wxyz_xyz
+
+    compare(pose, (source, target), rng, step=1e-8)
+
+
+def test_with_respect_to_points_and_a_prior(float64, rng):
+    target, source = jnp.asarray(room(rng, 2000)), jnp.asarray(moved(room(rng, 2000), MOTION))
+    information = jnp.diag(jnp.asarray([1e5, 1e5, 1e5, 1e4, 1e4, 1e4]))
+
+    def pose(source, target, mean):
+        clouds = (prepare_points(x, config=POINTS) for x in (source, target))
+        prior = MotionPrior(se3.exp(mean), information)
+        start = se3.from_matrix(MOTION, jnp.float64)
+        return align(*clouds, start, prior=prior, config=CONFIG).T_target_source.wxyz_xyz
+
+    compare(pose, (source, target, se3.log(se3.from_matrix(MOTION, jnp.float64))), rng, step=1e-8)
+
+
+def test_with_respect_to_a_map_s_covariances(float64, rng):
+    points = room(rng, 2000)
+    source = prepare_points(jnp.asarray(moved(room(rng, 2000), MOTION)), config=POINTS)
+    spread = rng.normal(size=(len(points), 3, 3)) * np.asarray([1, 1, 0.3])
+    covariances = jnp.asarray(1e-4 * (spread @ spread.transpose(0, 2, 1)))
+
+    def pose(means, covariances):
+        covariances = (covariances + covariances.transpose(0, 2, 1)) / 2
+        target = prepare_gaussians(means, covariances, target_covariance="map", config=POINTS)
+        start = se3.from_matrix(MOTION, jnp.float64)
+        return align(source, target, start, config=CONFIG).T_target_source.wxyz_xyz
+
+    compare(pose, (jnp.asarray(points), covariances), rng, step=1e-10)
+
+
+@pytest.mark.parametrize("what", ["wall", "nothing"])
+def test_degenerate_input_has_finite_gradients(what):
+    flat = GicpConfig(levels=1, strides=(1,), max_iterations=(8,))
+    depth = np.full(CAMERA.shape, 2.0 if what == "wall" else 0.0, np.float32)
+
+    def total(depth):
+        cloud = prepare(depth, CAMERA, config=flat)
+        result = align(cloud, cloud, se3.identity(), config=flat)
+        return jnp.sum(result.T_target_source.wxyz_xyz**2)
+
+    assert np.all(np.isfinite(jax.grad(total)(jnp.asarray(depth))))
+
+
+def test_empty_clouds_have_finite_gradients():
+    def total(points):
+        cloud = prepare_points(points, config=POINTS)
+        return jnp.sum(align(cloud, cloud, se3.identity()).T_target_source.wxyz_xyz ** 2)
+
+    assert np.all(np.isfinite(jax.grad(total)(jnp.zeros((20, 3)))))

@@ -1,0 +1,139 @@
+"""Voxel means, nearest points and neighbourhood covariances against SciPy's tree and plain loops."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from sfgs_jax.gicp.neighbourhoods import neighbourhoods
+from sfgs_jax.gicp.sorting import digit_bits, masked_median, stable_order
+from sfgs_jax.gicp.spatial_hash import _MIN_BITS, _ROWS, _row, build_hash, nearest, neighbouring_runs
+from sfgs_jax.gicp.symmetric import INDICES
+from sfgs_jax.gicp.voxels import occupied_cells, voxel_means
+
+
+def surface_points(rng, n: int) -> np.ndarray:
+    """Points of a bumpy sheet a metre or two in size, with noise, float32."""
+    xy = rng.uniform(-1, 1, size=(n, 2))
+    z = 0.3 * np.sin(3 * xy[:, 0]) * np.cos(2 * xy[:, 1]) + rng.normal(scale=0.002, size=n)
+    return np.column_stack([xy, z]).astype(np.float32)
+
+
+def test_orders_sort_by_the_last_digit_first(rng):
+    a, b = rng.integers(0, 50, size=(2, 3000))
+    order = stable_order(jnp.asarray(b, jnp.uint32), jnp.asarray(a, jnp.uint32))
+    np.testing.assert_array_equal(order, np.lexsort((b, a)))
+    assert digit_bits(2**17) == 15
+
+
+def test_the_median_is_of_the_valid_values(rng):
+    values = rng.normal(size=1001).astype(np.float32)
+    valid = rng.random(1001) < 0.5
+    valid[0] = valid.sum() % 2 == 0  # an odd number of them
+    found = masked_median(jnp.asarray(values), jnp.asarray(valid))
+    assert found == np.sort(values[valid])[(valid.sum() - 1) // 2]
+    assert masked_median(jnp.asarray(values), jnp.zeros(1001, bool)) == 0
+
+
+def test_voxel_means_are_those_of_a_dictionary(rng):
+    points = surface_points(rng, 2000)
+    points[5] = np.nan
+    valid = rng.random(2000) < 0.9
+    valid[5] = False
+    values = rng.normal(size=(2000, 2)).astype(np.float32)
+    means = voxel_means(
+        jnp.asarray(points), jnp.asarray(values), jnp.asarray(valid), jnp.asarray(0.1), capacity=1024
+    )
+    cells: dict[tuple[int, ...], list[int]] = {}
+    for i in np.flatnonzero(valid):
+        cells.setdefault(tuple(np.floor(points[i] / np.float32(0.1)).astype(int)), []).append(i)
+    assert int(means.valid.sum()) == len(cells)
+    assert means.dropped == 0
+    assert occupied_cells(jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.1)) == len(cells)
+    for point, value in zip(means.points[means.valid], means.values[means.valid], strict=True):
+        members = cells[tuple(np.floor(np.asarray(point) / np.float32(0.1)).astype(int))]
+        np.testing.assert_allclose(point, points[members].mean(axis=0), atol=1e-6)
+        np.testing.assert_allclose(value, values[members].mean(axis=0), atol=1e-6)
+
+
+def test_points_beyond_the_capacity_or_the_range_are_counted(rng):
+    points, valid = jnp.asarray(surface_points(rng, 500)), jnp.ones(500, bool)
+    values = jnp.zeros((500, 0))
+    full = voxel_means(points, values, valid, jnp.asarray(0.1), capacity=500)
+    cut = voxel_means(points, values, valid, jnp.asarray(0.1), capacity=100)
+    assert cut.valid.sum() == 100
+    np.testing.assert_array_equal(cut.points, full.points[:100])
+    assert 0 < cut.dropped < 500
+    far = points.at[3].set(jnp.asarray([1e9, 0, 0]))
+    assert voxel_means(far, values, valid, jnp.asarray(0.1), capacity=500).dropped == 1
+
+
+def test_rows_of_cells_never_share_buckets():
+    for bits in range(_MIN_BITS, 21):
+        rows = np.asarray(_row(jnp.asarray(_ROWS[:, 0]), jnp.asarray(_ROWS[:, 1]), 1 << bits))
+        apart = np.abs(rows[:, None] - rows[None]) + np.eye(9) * (1 << bits)
+        half = 1 << (bits - 1)
+        assert np.minimum(apart, np.abs(half - apart)).min() > 3
+
+
+@pytest.mark.parametrize("count", [3000, 40_000])
+def test_the_nearest_point_is_that_of_a_tree(rng, count):
+    points = surface_points(rng, count)
+    queries = points[:2000] + rng.normal(scale=0.02, size=(2000, 3)).astype(np.float32)
+    valid = rng.random(count) < 0.7
+    grid = build_hash(jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.05))
+    index, found = nearest(grid, jnp.asarray(queries.T), slots=250)
+    assert int(neighbouring_runs(grid, jnp.asarray(queries.T)).ends[-1].max()) <= 250
+    distance, _ = cKDTree(points[valid]).query(queries)
+    inside = distance < 0.05
+    assert inside.mean() > 0.5
+    assert np.all(np.asarray(found)[inside])
+    assert np.all(valid[np.asarray(index)[inside]])
+    reached = np.linalg.norm(points[np.asarray(index)] - queries, axis=1)
+    np.testing.assert_allclose(reached[inside], distance[inside], rtol=1e-4, atol=1e-6)
+
+
+def test_nothing_is_near_where_nothing_is(rng):
+    points = jnp.asarray(surface_points(rng, 100))
+    grid = build_hash(points, jnp.zeros(100, bool), jnp.asarray(0.05))
+    _, found = nearest(grid, points.T, slots=16)
+    assert not np.any(found)
+
+
+def test_covariances_are_those_of_the_k_nearest(rng):
+    points = surface_points(rng, 4000)
+    valid = rng.random(4000) < 0.8
+    found = neighbourhoods(
+        jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.15), k=20, slots=250, doublings=0
+    )
+    kept = points[valid].astype(np.float64)
+    distance, index = cKDTree(kept).query(kept, k=20)
+    exact = distance[:, -1] < 0.15
+    assert exact.mean() > 0.8
+    assert found.missed == 0
+    counts = np.asarray(found.counts)[valid][exact]
+    assert counts.min() >= 20
+    assert counts.mean() < 20.2  # those at equal distances
+    expected = np.stack([np.cov(kept[i].T, bias=True) for i in index[exact]])
+    alike = counts == 20
+    got = np.asarray(found.covariances)[valid][exact][alike]
+    for entry, (i, j) in enumerate(INDICES):
+        np.testing.assert_allclose(got[:, entry], expected[alike, i, j], atol=1e-6)
+    assert not np.any(np.asarray(found.counts)[~valid])
+
+
+def test_sparse_points_are_looked_for_farther_away(rng):
+    points = jnp.asarray(surface_points(rng, 300))
+    arguments = points, jnp.ones(300, bool), jnp.asarray(0.1)
+    near = neighbourhoods(*arguments, k=20, slots=96, doublings=0)
+    wide = neighbourhoods(*arguments, k=20, slots=96, doublings=2)
+    assert np.median(near.counts) < 20
+    assert np.mean(np.asarray(wide.counts) >= 20) > 0.95
+
+
+def test_full_slots_are_reported(rng):
+    points = jnp.asarray(surface_points(rng, 2000))
+    found = neighbourhoods(points, jnp.ones(2000, bool), jnp.asarray(0.5), k=20, slots=32, doublings=0)
+    assert found.missed > 1000
+    assert all(bool(np.all(np.isfinite(leaf))) for leaf in jax.tree.leaves(found))
