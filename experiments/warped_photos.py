@@ -33,8 +33,8 @@ class WarpedPhoto:
 
 def warped_photos(photos: Photos, *, count: int, seed: int) -> Iterator[WarpedPhoto]:
     """Both groups for `count` photographs, evenly spread over the set; the same for the same seed."""
-    for index in np.linspace(0, len(photos) - 1, min(count, len(photos))).astype(int):
-        rng = np.random.default_rng((seed, int(index)))
+    for index in np.linspace(0, len(photos) - 1, min(count, len(photos))).astype(int).tolist():
+        rng = np.random.default_rng((seed, index))
         image = photos[index]
         H_b_a = random_homography(rng, image.shape[0], image.shape[1])
         # Mirrored rather than black beyond the photograph, so that its border makes no corners.
