@@ -219,7 +219,7 @@ def _labels(teacher: XFeat, images: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 def _points(
     rng: np.random.Generator, heat: np.ndarray, covered: tuple[np.ndarray, np.ndarray], carry: Carry
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a pair, (2, N, 2) and which are seen: keypoints where cells have one, else anywhere in them."""
+    """Points of a pair, (2, N, 2), and which are seen: a cell's keypoint, or any place where it has none."""
     best = heat[..., :-1].argmax(-1).reshape(-1)
     strength = heat[..., :-1].max(-1).reshape(-1)
     place = np.where(strength > _MIN_HEAT, best, rng.integers(0, CELL * CELL, best.size))

@@ -35,7 +35,7 @@ from sfgs_jax.superfeats.training import (
 from sfgs_jax.superfeats.weights import save_weights
 
 matplotlib.use("agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 _PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png"}
 # Of the recording that comes with the project's data, the second half is for judging, not for training.
@@ -54,10 +54,10 @@ class TrainingConfig:
     steps: int = 20_000
     """Steps over which the learning rate falls."""
 
-    pairs: int = 8
+    pairs: int = 4
     """In a batch; even, and a multiple of the number of devices."""
 
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     """At first; it falls to a hundredth of it along a cosine."""
 
     warm_up: int = 200
@@ -110,6 +110,10 @@ def train(config: TrainingConfig) -> None:
         batch = jax.device_put(next(stream), by_pairs)
         state, figures = train_step(state, batch, optimiser=optimiser, weights=config.weights)
         recent.append({name: float(value) for name, value in figures.items()})
+        if not np.isfinite(recent[-1]["loss"]):
+            raise FloatingPointError(
+                f"The loss of step {step} is not finite; {checkpoint} is from before it."
+            )
         if step % config.save_every == 0 or step == config.steps:
             seconds = (time.perf_counter() - started) / (step - first)
             entry = {

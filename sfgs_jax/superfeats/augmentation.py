@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64
 
+_MAX_SHRINKAGE = 4.0
+
 
 @dataclass(frozen=True)
 class ViewConfig:
@@ -25,7 +27,7 @@ class ViewConfig:
 def random_homography(
     rng: np.random.Generator,
     size: int,
-    config: ViewConfig = ViewConfig(),  # noqa: B008
+    config: ViewConfig = ViewConfig(),
 ) -> Float64[np.ndarray, "3 3"]:
     """A homography of a size x size image onto another: rotation, scale, shift, and corners moved about."""
     # Most pairs turn little: a camera held upright is the common case.
@@ -46,7 +48,7 @@ def warp(
 ) -> Float32[np.ndarray, "s s"]:
     """The image as seen by a homography; beyond its border it is mirrored."""
     # Where the view shrinks the image, a blur first keeps it from aliasing.
-    shrink = 1.0 / np.sqrt(max(abs(np.linalg.det(H_view_image[:2, :2])), 1e-6))
+    shrink = min(_shrinkage(H_view_image, size), _MAX_SHRINKAGE)
     if shrink > 1.2:
         image = cv2.GaussianBlur(image, (0, 0), 0.4 * shrink)
     return cv2.warpPerspective(
@@ -59,7 +61,8 @@ def relight(
 ) -> Float32[np.ndarray, "s s"]:
     """Gamma, contrast, brightness, a soft shadow, blur and noise, each at random; values stay in [0, 1]."""
     size = image.shape[0]
-    image = image ** np.float32(np.exp(strength * rng.uniform(-0.5, 0.5)))
+    # Interpolation can leave a value a rounding error below zero, of which a power is NaN.
+    image = np.clip(image, 0, 1) ** np.float32(np.exp(strength * rng.uniform(-0.5, 0.5)))
     image = (image - 0.5) * np.float32(np.exp(strength * rng.uniform(-0.4, 0.3))) + 0.5
     image = image + np.float32(strength * rng.uniform(-0.15, 0.15))
     if rng.random() < 0.3 * strength:
@@ -107,6 +110,15 @@ def occlude(
         image[inside] = np.clip(fill, 0, 1).astype(np.float32)
         mask |= shape
     return image, mask > 0
+
+
+def _shrinkage(H_view_image: Float64[np.ndarray, "3 3"], size: int) -> float:
+    """Pixels of the image, along a side, that come to lie in one pixel at the view's centre."""
+    centre = (size - 1) / 2
+    square = np.array([[centre, centre, 1], [centre + 1, centre, 1], [centre, centre + 1, 1]])
+    there = square @ np.linalg.inv(H_view_image).T
+    corner, right, below = there[:, :2] / there[:, 2:]
+    return float(np.sqrt(abs(np.linalg.det(np.stack([right - corner, below - corner])))))
 
 
 def _motion_blur(rng: np.random.Generator, image: Float32[np.ndarray, "s s"]) -> Float32[np.ndarray, "s s"]:

@@ -84,6 +84,7 @@ class BatchStatistics:
     def __call__(
         self, layer: Layer, x: Float[Array, "b h w i"], *, stride: int = 1
     ) -> Float[Array, "b h2 w2 o"]:
+        """Acts with the statistics of this batch."""
         assert isinstance(layer, NormalisedConvolution), "a folded network has no statistics"
         y = convolve(layer.weight, x, stride=stride)
         mean = y.mean((0, 1, 2))
@@ -100,7 +101,7 @@ class BatchStatistics:
                 return layer
             mean, variance = lax.stop_gradient(self._seen[id(layer)])
             return eqx.tree_at(
-                lambda l: (l.mean, l.variance),
+                lambda old: (old.mean, old.variance),
                 layer,
                 (
                     _MOMENTUM * layer.mean + (1 - _MOMENTUM) * mean,

@@ -79,7 +79,7 @@ def hinge_descriptor_loss(
     """
     distance = jnp.square(positions_a_in_b[:, None] - positions_b[None]).sum(-1)
     both = (valid[:, None] & valid[None]).astype(a.dtype)
-    positive = both * (distance < positive_radius**2)
+    positive = jnp.where(distance < positive_radius**2, both, 0.0)
     similarity = a @ b.T
     pull = _weighted_mean(jnp.maximum(positive_margin - similarity, 0), positive)
     push = _weighted_mean(jnp.maximum(similarity - negative_margin, 0), both - positive)

@@ -5,6 +5,7 @@ or below, where convolutions have enough channels to be fast.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -53,6 +54,7 @@ class C2f(eqx.Module):
     merge: Layer
 
     def __call__(self, x: Float[Array, "b h w c"], apply: Apply) -> Float[Array, "b h w c"]:
+        """Runs the block with `apply` for its layers."""
         x = apply(self.split, x)
         parts = list(jnp.split(x, 2, axis=-1))
         for first, second in self.bottlenecks:
@@ -75,7 +77,8 @@ class Fusion(eqx.Module):
 
     def __call__(
         self, fine: Float[Array, "b h w c"], coarse: Float[Array, "b h2 w2 d"], apply: Apply
-    ) -> Float[Array, "b h w c"]:
+    ) -> Float[Array, "b h w o"]:
+        """Merges the two levels with `apply` for its layers."""
         coarse = apply(self.project, coarse)
         return apply(self.merge, fine + _double(coarse))
 
@@ -106,7 +109,8 @@ class DenseFeatures(eqx.Module):
     reliability: Float[Array, "b h w"]
 
 
-def initialise_network(key: PRNGKeyArray, config: NetworkConfig = NetworkConfig()) -> Network:  # noqa: B008
+@partial(jax.jit, static_argnames="config")
+def initialise_network(key: PRNGKeyArray, config: NetworkConfig = NetworkConfig()) -> Network:
     """A network with random weights, to be trained."""
     keys = iter(jax.random.split(key, 64))
 

@@ -21,8 +21,8 @@ def sample(cells: Float[Array, "h w c"], pixels: Float[Array, "n 2"]) -> Float[A
     top = jnp.clip(jnp.floor(row).astype(jnp.int32), 0, max(h - 2, 0))
     right = jnp.minimum(left + 1, w - 1)
     bottom = jnp.minimum(top + 1, h - 1)
-    x = (column - left)[:, None]
-    y = (row - top)[:, None]
+    x = (column - left.astype(column.dtype))[:, None]
+    y = (row - top.astype(row.dtype))[:, None]
     upper = cells[top, left] * (1 - x) + cells[top, right] * x
     lower = cells[bottom, left] * (1 - x) + cells[bottom, right] * x
     return upper * (1 - y) + lower * y

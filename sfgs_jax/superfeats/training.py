@@ -6,6 +6,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -29,7 +30,7 @@ class Batch(eqx.Module):
 
     Attributes:
         images: (B, 2, S, S) normalised grey images.
-        heat: (B, 2, S/8, S/8, 65) probabilities of the keypoint's place in each cell, and of there being none.
+        heat: (B, 2, S/8, S/8, 65) probabilities of a keypoint at each place of a cell, and of none.
         descriptors: (B, 2, S/8, S/8, 64) a teacher's descriptors, of unit length.
         reliability: (B, 2, S/8, S/8) in [0, 1].
         labelled: (B, 2, S/8, S/8) weight of each cell's labels.
@@ -37,13 +38,13 @@ class Batch(eqx.Module):
         seen: (B, N) which points are seen in both.
     """
 
-    images: Float[Array, "b 2 s s"]
-    heat: Float[Array, "b 2 c c 65"]
-    descriptors: Float[Array, "b 2 c c d"]
-    reliability: Float[Array, "b 2 c c"]
-    labelled: Float[Array, "b 2 c c"]
-    points: Float[Array, "b 2 n 2"]
-    seen: Bool[Array, "b n"]
+    images: Float[Array | np.ndarray, "b 2 s s"]
+    heat: Float[Array | np.ndarray, "b 2 c c 65"]
+    descriptors: Float[Array | np.ndarray, "b 2 c c d"]
+    reliability: Float[Array | np.ndarray, "b 2 c c"]
+    labelled: Float[Array | np.ndarray, "b 2 c c"]
+    points: Float[Array | np.ndarray, "b 2 n 2"]
+    seen: Bool[Array | np.ndarray, "b n"]
 
 
 @dataclass(frozen=True)

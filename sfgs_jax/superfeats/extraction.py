@@ -1,0 +1,78 @@
+"""From an image to keypoints with descriptors, in one jitted function."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sfgs_jax.geometry import InputError
+from sfgs_jax.superfeats.detection import heat_map, local_maxima, refine, strongest
+from sfgs_jax.superfeats.features import Features
+from sfgs_jax.superfeats.losses import unit
+from sfgs_jax.superfeats.network import CELL, STRIDE, Network, forward, normalise
+from sfgs_jax.superfeats.sampling import sample
+
+
+def extract(
+    params: Network,
+    image: Float[Array, "h w"] | Float[Array, "h w 3"],
+    *,
+    max_keypoints: int = 1024,
+    min_heat: float = 0.01,
+) -> Features:
+    """Finds keypoints and describes them: SuperFeats, SFGS-SLAM (Wang and Deng, 2025), section 3.1.
+
+    Heat map by softmax, maxima of 5 x 5 windows, the strongest of them, their centroids, and descriptors
+    interpolated there. Differentiable with respect to weights and image through positions, scores and
+    descriptors; which pixels are chosen is not. Compiled once for each image size and `max_keypoints`.
+
+    Args:
+        params: a folded network: `load_weights()`, or `fold` of a network in training.
+        image: grey, or RGB, whose mean is taken; any size, any range of values.
+        max_keypoints: K, slots for keypoints.
+        min_heat: probability of a keypoint at its pixel below which there is none.
+
+    Returns:
+        Features with K slots: pixels (u, v), scores in [0, 1] (heat times reliability), 64-D descriptors.
+
+    Raises:
+        InputError: `max_keypoints` isn't positive, or the image has no pixels.
+    """
+    if max_keypoints < 1:
+        raise InputError(f"max_keypoints must be at least 1, not {max_keypoints}.")
+    if image.size == 0:
+        raise InputError(f"The image is empty: its shape is {image.shape}.")
+    return _extract(
+        params, jnp.asarray(image), jnp.asarray(min_heat, image.dtype), max_keypoints=max_keypoints
+    )
+
+
+@partial(jax.jit, static_argnames="max_keypoints")
+def _extract(
+    params: Network,
+    image: Float[Array, "h w"] | Float[Array, "h w 3"],
+    min_heat: Float[Array, ""],
+    *,
+    max_keypoints: int,
+) -> Features:
+    grey = image.mean(-1) if image.ndim == 3 else image
+    height, width = grey.shape
+    # The network wants whole cells at its coarsest level: beyond the image lies the image's mean.
+    padding = [(0, -side % STRIDE) for side in grey.shape]
+    dense = forward(params, jnp.pad(normalise(grey[None])[0], padding)[None])
+
+    heat = heat_map(dense.logits[0])[:height, :width]
+    reliability = jax.nn.sigmoid(dense.reliability[0])
+    everywhere = jnp.repeat(jnp.repeat(reliability, CELL, 0), CELL, 1)[:height, :width]
+    chosen = local_maxima(heat) & (heat > min_heat)
+    scores, pixels = strongest(jnp.where(chosen, heat * everywhere, 0.0), count=max_keypoints)
+    valid = scores > 0
+    keypoints = refine(heat, pixels)
+    descriptors = unit(sample(dense.descriptors[0], keypoints))
+    return Features(
+        keypoints=jnp.where(valid[:, None], keypoints, 0.0),
+        scores=scores,
+        descriptors=jnp.where(valid[:, None], descriptors, 0.0),
+        valid=valid,
+    )

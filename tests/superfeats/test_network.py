@@ -1,0 +1,85 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax.geometry import InputError
+from sfgs_jax.superfeats.layers import BatchStatistics, fold
+from sfgs_jax.superfeats.network import (
+    DESCRIPTOR_SIZE,
+    NetworkConfig,
+    forward,
+    initialise_network,
+    normalise,
+)
+from sfgs_jax.superfeats.weights import load_weights, save_weights
+
+
+@pytest.fixture(scope="module")
+def network():
+    return initialise_network(jax.random.key(0))
+
+
+def count(network) -> int:
+    return sum(leaf.size for leaf in jax.tree.leaves(network))
+
+
+def test_the_network_is_small(network):
+    folded = fold(network)
+    image = jax.ShapeDtypeStruct((1, 480, 640), jnp.float32)
+    cost = jax.jit(forward).lower(folded, image).compile().cost_analysis()
+    assert count(folded) <= 300_000
+    # Multiply-adds count two operations each, and everything else is counted too.
+    assert 0.3e9 < cost["flops"] / 2 < 0.9e9
+
+
+def test_outputs_have_a_cell_for_each_8x8_pixels(network):
+    dense = forward(fold(network), jnp.zeros((2, 96, 64)))
+    assert dense.logits.shape == (2, 12, 8, 65)
+    assert dense.descriptors.shape == (2, 12, 8, DESCRIPTOR_SIZE)
+    assert dense.reliability.shape == (2, 12, 8)
+
+
+def test_a_folded_network_acts_as_the_trained_one_on_the_statistics_it_has_seen(network, rng):
+    images = normalise(jnp.asarray(rng.random((4, 64, 64)), jnp.float32))
+    step = jax.jit(lambda net: _with_statistics(net, images))
+    for _ in range(1000):  # the running statistics approach those of this batch
+        dense, network = step(network)
+    folded = forward(fold(network), images)
+    for trained, inferred in zip(jax.tree.leaves(dense), jax.tree.leaves(folded), strict=True):
+        np.testing.assert_allclose(inferred, trained, atol=2e-2 * float(jnp.abs(trained).max()))
+
+
+def _with_statistics(network, images):
+    statistics = BatchStatistics()
+    dense = forward(network, images, statistics)
+    return dense, statistics.updated(network)
+
+
+def test_brightness_and_contrast_change_nothing(network, rng):
+    image = jnp.asarray(rng.random((1, 64, 64)), jnp.float32)
+    folded = fold(network)
+    plain = forward(folded, normalise(image))
+    changed = forward(folded, normalise(0.5 * image + 0.2))
+    for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(changed), strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-3)
+
+
+def test_weights_come_back_from_their_file(network, tmp_path):
+    path = tmp_path / "weights.safetensors"
+    save_weights(path, network)
+    assert path.stat().st_size <= 1_500_000
+    for a, b in zip(jax.tree.leaves(fold(network)), jax.tree.leaves(load_weights(path)), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_files_that_hold_no_such_network_are_refused(network, tmp_path):
+    with pytest.raises(InputError, match="There is no"):
+        load_weights(tmp_path / "none.safetensors")
+    (tmp_path / "foreign.safetensors").write_bytes(b"PK\x03\x04 not weights")
+    with pytest.raises(InputError, match="safetensors"):
+        load_weights(tmp_path / "foreign.safetensors")
+    narrow = initialise_network(jax.random.key(0), NetworkConfig(channels=(16, 16, 16, 16)))
+    save_weights(tmp_path / "narrow.safetensors", narrow)
+    with pytest.raises(InputError, match="widths"):
+        load_weights(tmp_path / "narrow.safetensors")

@@ -1,0 +1,106 @@
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from sfgs_jax.superfeats.layers import fold
+from sfgs_jax.superfeats.losses import unit
+from sfgs_jax.superfeats.network import DESCRIPTOR_SIZE, NetworkConfig, initialise_network
+from sfgs_jax.superfeats.training import Batch, LossWeights, evaluate, initial_state, train_step
+
+SMALL = NetworkConfig(channels=(8, 16, 16, 16), bottlenecks=(1, 1, 1, 1), context=8)
+SIZE = 64
+CELLS = SIZE // 8
+
+
+@pytest.fixture(autouse=True)
+def _promotion_as_optax_needs_it():
+    with jax.numpy_dtype_promotion("standard"):
+        yield
+
+
+def made_up_batch(rng: np.random.Generator, pairs: int) -> Batch:
+    """Second views are the first ones, shifted by a cell."""
+    images = rng.normal(size=(pairs, SIZE, SIZE + 8)).astype(np.float32)
+    views = np.stack([images[..., 8:], images[..., :-8]], 1)
+    steps = 8 * np.arange(1, CELLS - 2)
+    points = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2).astype(np.float32) + 4
+    descriptors = rng.normal(size=(pairs, 2, CELLS, CELLS, DESCRIPTOR_SIZE)).astype(np.float32)
+    heat = rng.random((pairs, 2, CELLS, CELLS, 65)).astype(np.float32)
+    return Batch(
+        images=views,
+        heat=heat / heat.sum(-1, keepdims=True),
+        descriptors=np.asarray(unit(jnp.asarray(descriptors))),
+        reliability=rng.random((pairs, 2, CELLS, CELLS)).astype(np.float32),
+        labelled=np.ones((pairs, 2, CELLS, CELLS), np.float32),
+        points=np.tile(np.stack([points, points + np.float32([8, 0])]), (pairs, 1, 1, 1)),
+        seen=np.ones((pairs, len(points)), bool),
+    )
+
+
+def run(batch: Batch, steps: int, weights: LossWeights):
+    optimiser = optax.adam(3e-3)
+    state = initial_state(initialise_network(jax.random.key(0), SMALL), optimiser)
+    history = []
+    for _ in range(steps):
+        state, figures = train_step(state, batch, optimiser=optimiser, weights=weights)
+        history.append({name: float(value) for name, value in figures.items()})
+    return state, history
+
+
+def test_training_on_one_batch_learns_it(rng):
+    batch = made_up_batch(rng, 2)
+    state, history = run(batch, 60, LossWeights())
+    assert history[-1]["loss"] < 0.7 * history[0]["loss"]
+    assert history[-1]["accuracy"] > 0.9
+    assert int(state.step) == 60
+    assert evaluate(fold(state.network), batch, weights=LossWeights())["accuracy"] > 0.5
+
+
+@pytest.mark.parametrize("name", ["hinge", "contrast"])
+def test_a_loss_left_out_is_still_measured_but_not_followed(name, rng):
+    off = {"heat": 0, "contrast": 0, "hinge": 0, "dual_softmax": 0, "imitation": 0, "reliability": 0}
+    weights = LossWeights(**{other: float(other == name) for other in off})
+    _, history = run(made_up_batch(rng, 2), 2, weights)
+    assert history[0]["loss"] == pytest.approx(history[0][name], rel=1e-6)
+    assert set(history[0]) == {"loss", "accuracy", *off}
+
+
+def test_statistics_follow_the_batches(rng):
+    batch = made_up_batch(rng, 2)
+    state, _ = run(batch, 3, LossWeights())
+    before = initialise_network(jax.random.key(0), SMALL).levels[0].reduce
+    after = state.network.levels[0].reduce
+    assert not np.allclose(after.mean, before.mean)
+    assert not np.allclose(after.variance, before.variance)
+
+
+SHARED_BATCH = """
+import sys
+sys.path.insert(0, "tests/superfeats")
+import jax, numpy as np
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
+from test_training import LossWeights, made_up_batch, run
+assert jax.device_count() == 4
+jax.config.update("jax_numpy_dtype_promotion", "standard")
+mesh = jax.make_mesh((4,), ("data",), axis_types=(AxisType.Auto,))
+batch = jax.device_put(
+    made_up_batch(np.random.default_rng(0), 4), NamedSharding(mesh, PartitionSpec("data"))
+)
+print(*(entry["loss"] for entry in run(batch, 3, LossWeights())[1]))
+"""
+
+
+def test_four_devices_give_the_loss_of_one():
+    environment = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=4"}
+    done = subprocess.run(
+        [sys.executable, "-c", SHARED_BATCH], env=environment, capture_output=True, text=True, check=True
+    )
+    shared = [float(loss) for loss in done.stdout.split()]
+    _, history = run(made_up_batch(np.random.default_rng(0), 4), 3, LossWeights())
+    np.testing.assert_allclose(shared, [entry["loss"] for entry in history], rtol=2e-4)
