@@ -34,6 +34,8 @@ def pair_capacity(
         The need rounded up to 1024 times a power of two or one and a half of it, so that a driver that
         grows meets few sizes and compiles few programs.
     """
+    if gaussians.means.shape[0] == 0:
+        return rounded_capacity(0)
     projected, rows = _project_and_count(gaussians, camera, T_world_cam, config)
     pairs = _count(projected, camera.width, camera.height, config.tile_size, rounded_capacity(int(rows)))
     return rounded_capacity(int(headroom * max(int(rows), int(pairs))))

@@ -11,6 +11,7 @@ Source: Zwicker et al., EWA splatting, 2002; Kerbl et al., 3D Gaussian splatting
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -75,6 +76,14 @@ def project(
     Raises:
         InputError: the harmonics are not of degree 0 to 3.
     """
+    return _project(gaussians, camera, T_world_cam, config)
+
+
+# Compiled here, as hundreds of small programs would take longer; inside a caller's jit this is inlined.
+@partial(jax.jit, static_argnames="config")
+def _project(
+    gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
+) -> tuple[Projected, Float[Array, "n 3"]]:
     # Arrays of one component each, from here to the end: XLA fuses those, and compiles them sooner.
     R_cam_world = se3.rotation_matrix(T_world_cam).T
     # Relative to the camera before anything else: far from the origin float32 has no digits to spare.

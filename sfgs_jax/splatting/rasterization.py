@@ -1,5 +1,8 @@
 """Images of projected Gaussians with any features."""
 
+from functools import partial
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +13,8 @@ from sfgs_jax.splatting.binning import TileLists, bin_into_tiles, tile_grid
 from sfgs_jax.splatting.compositing import composite
 from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.projection import Projected
+
+_Arrays = TypeVar("_Arrays")
 
 
 class Raster(eqx.Module):
@@ -53,6 +58,16 @@ def rasterize(
         InputError: `features` has not one row for each Gaussian.
     """
     require_rows("features", features, projected.visible.shape[0])
+    if features.shape[0] == 0:
+        projected, features = with_a_free_slot((projected, features))
+    return _rasterize(projected, features, width, height, config)
+
+
+# Compiled here, as hundreds of small programs would take longer; inside a caller's jit this is inlined.
+@partial(jax.jit, static_argnames=("width", "height", "config"))
+def _rasterize(
+    projected: Projected, features: Float[Array, "n c"], width: int, height: int, config: RenderConfig
+) -> Raster:
     lists = bin_into_tiles(
         jax.lax.stop_gradient(projected),
         width=width,
@@ -81,6 +96,11 @@ def require_rows(name: str, values: Array, count: int) -> None:
         raise InputError(
             f"{name} have shape {values.shape}; {count} Gaussians need one row each, ({count}, channels)."
         )
+
+
+def with_a_free_slot(arrays: _Arrays) -> _Arrays:
+    """Arrays with one more row of zeros, which is not valid and not visible: nothing can be drawn of none."""
+    return jax.tree.map(lambda x: jnp.pad(x, [(0, 1)] + [(0, 0)] * (x.ndim - 1)), arrays)
 
 
 def _median(passed: Array, lists: TileLists, width: int, height: int, tile_size: int) -> Int[Array, "h w"]:

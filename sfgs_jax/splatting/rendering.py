@@ -12,7 +12,7 @@ from sfgs_jax.geometry import Camera, InputError
 from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.gaussians import Gaussians
 from sfgs_jax.splatting.projection import project
-from sfgs_jax.splatting.rasterization import rasterize, require_rows
+from sfgs_jax.splatting.rasterization import rasterize, require_rows, with_a_free_slot
 
 
 class RenderOutput(eqx.Module):
@@ -75,6 +75,8 @@ def render(
         require_rows("features", features, count)
     if colours is not None and colours.shape != (count, 3):
         raise InputError(f"colours have shape {colours.shape}; {count} Gaussians need ({count}, 3).")
+    if count == 0:
+        gaussians, colours, features = with_a_free_slot((gaussians, colours, features))
     try:
         return _render(gaussians, camera, T_world_cam, background, colours, features, config)
     except TypeError as error:

@@ -10,7 +10,18 @@ import pytest
 from hypothesis import given, settings
 
 from sfgs_jax.geometry import se3
-from tests.splatting.scenes import PARAMETERS, N, assert_close, make_scene, run, spoil
+from sfgs_jax.splatting import pair_capacity, render
+from tests.splatting.scenes import (
+    CONFIG,
+    PARAMETERS,
+    N,
+    assert_close,
+    make_camera,
+    make_pose,
+    make_scene,
+    run,
+    spoil,
+)
 
 
 def behind(scene, lanes):
@@ -91,6 +102,22 @@ def test_no_parameter_value_makes_a_nan(seed, field, value):
     scene = replace(scene, **{field: jnp.where(rows, jnp.float32(value), values)})
     for name, result in run("tiles", scene).items():
         assert np.all(np.isfinite(result)), name
+
+
+def test_no_slots_at_all_show_the_background():
+    none = jax.tree.map(lambda values: values[:0], make_scene(0))
+    background = jnp.asarray([0.1, 0.2, 0.3])
+    assert pair_capacity(none, make_camera(), make_pose()) > 0
+
+    def drawn(means):
+        out = render(replace(none, means=means), make_camera(), make_pose(), background, config=CONFIG)
+        return jnp.sum(out.rgb), out
+
+    gradient, out = jax.grad(drawn, has_aux=True)(none.means)
+    assert gradient.shape == (0, 3)
+    assert np.all(out.rgb == background)
+    assert np.all(out.alpha == 0)
+    assert int(out.overflow) == 0
 
 
 def test_zero_scales_draw_dots_as_large_as_the_low_pass():
