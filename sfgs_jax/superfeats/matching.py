@@ -11,6 +11,9 @@ from sfgs_jax.superfeats.features import Features, Matches
 MIN_SIMILARITY = 0.82
 """XFeat's floor: descriptors less alike than this are seldom of one point."""
 
+_ROWS = 256
+_Pair = tuple[Array, Array]
+
 
 def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMILARITY) -> Matches:
     """Mutual nearest neighbours: each is the other's most similar descriptor, and they are similar enough.
@@ -39,28 +42,54 @@ def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMI
 
 @jax.jit
 def _match(a: Features, b: Features, min_similarity: Scalar) -> Matches:
-    table = similarities(a, b)
-    columns = table.shape[1]
-    best_of_row, best_of_column = table.max(axis=1), table.max(axis=0)
-    index_b = first_true((table == best_of_row[:, None]) & (table == best_of_column))
-    found = (index_b < columns) & (best_of_row > min_similarity)
-    return gather_matches(a, b, index_b, found & first_claim(index_b, found, columns))
+    similarity, index_b, index_a = _nearest(a, b)
+    mutual = index_a[index_b] == jnp.arange(len(index_b))
+    return gather_matches(a, b, index_b, mutual & (similarity > min_similarity))
+
+
+def _nearest(a: Features, b: Features) -> tuple[Float[Array, " k"], Int[Array, " k"], Int[Array, " m"]]:
+    """Each of a's keypoints' highest cosine and where in b it is, and where in a each of b's has its highest.
+
+    The table of cosines is made and used some rows at a time, so that it stays in the cache.
+    """
+    left, right = _clean_descriptors(a), _clean_descriptors(b)
+    count = len(left)
+    blocks = jnp.pad(left, ((0, -count % _ROWS), (0, 0))).reshape(-1, _ROWS, left.shape[1])
+
+    def step(best: _Pair, block: _Pair) -> tuple[_Pair, _Pair]:
+        (best_of_column, index_a), (rows, first_row) = best, block
+        table = rows @ right.T
+        best_of_row, best_here = table.max(axis=1), table.max(axis=0)
+        index_b = first_true(table == best_of_row[:, None])
+        index_here = first_true(table == best_here, axis=0) + first_row
+        better = best_here > best_of_column
+        best = jnp.where(better, best_here, best_of_column), jnp.where(better, index_here, index_a)
+        return best, (best_of_row, index_b)
+
+    start = jnp.full(len(right), -jnp.inf, right.dtype), jnp.zeros(len(right), int)
+    (_, index_a), nearest = lax.scan(step, start, (blocks, jnp.arange(0, count, _ROWS)))
+    similarity, index_b = (values.reshape(-1)[:count] for values in nearest)
+    return similarity, index_b, index_a
+
+
+def _clean_descriptors(features: Features) -> Float[Array, "k d"]:
+    """Descriptors without gradients, and zeros in empty slots, which no floor of 0 or more lets match."""
+    return lax.stop_gradient(jnp.where(features.valid[:, None], features.descriptors, 0))
 
 
 def similarities(a: Features, b: Features) -> Float[Array, "k m"]:
-    """Cosines of all pairs; those of empty slots are 0, so no floor of 0 or more lets them match."""
-    left, right = (jnp.where(x.valid[:, None], x.descriptors, 0) for x in (a, b))
-    return lax.stop_gradient(left @ right.T)
+    """Cosines of all pairs, without gradients; those of empty slots are 0."""
+    return _clean_descriptors(a) @ _clean_descriptors(b).T
 
 
-def first_true(table: Bool[Array, "k m"]) -> Int[Array, " k"]:
-    """The first column where each row is true, or m where it is nowhere.
+def first_true(table: Bool[Array, "k m"], *, axis: int = 1) -> Int[Array, " n"]:
+    """Where along the axis each row (or column) is first true, or the axis' length where it is nowhere.
 
-    Compared with its maximum, a table gives each row's best column in a fifth of the time that XLA's argmax
-    takes on a CPU.
+    Compared with its maxima, a table tells where they are in a fraction of the time that XLA's argmax takes
+    on a CPU.
     """
-    columns = table.shape[1]
-    return jnp.min(jnp.where(table, jnp.arange(columns), columns), axis=1)
+    places = lax.broadcasted_iota(int, table.shape, axis)
+    return jnp.min(jnp.where(table, places, table.shape[axis]), axis=axis)
 
 
 def first_claim(index_b: Int[Array, " k"], found: Bool[Array, " k"], columns: int) -> Bool[Array, " k"]:
