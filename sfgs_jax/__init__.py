@@ -5,6 +5,7 @@ plotting and a web server.
 """
 
 from sfgs_jax import datasets as datasets
+from sfgs_jax import factor_graph as factor_graph
 from sfgs_jax import geometry as geometry
 from sfgs_jax import gicp as gicp
 from sfgs_jax import slam as slam

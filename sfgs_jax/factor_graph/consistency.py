@@ -68,7 +68,7 @@ def within_threshold(
 
 
 def _clique(agree: Bool[np.ndarray, "N N"]) -> Bool[np.ndarray, " N"]:
-    """A large clique: from each of the best connected vertices, always add the candidate with most partners."""
+    """A large clique: from each well connected vertex on, add the candidate with most partners."""
     best = np.zeros(len(agree), bool)
     degree = agree.sum(axis=1)
     for start in np.argsort(-degree)[:32]:

@@ -25,7 +25,7 @@ NOISE = 0.01
 
 @pytest.fixture
 def corrupted(rng):
-    """A ring whose 14 true closures come with 6 false ones: prior, chain, closures, which are false, start, truth."""
+    """A ring with 14 true closures and 6 false ones: prior, chain, closures, false, start, truth."""
     graph, start, truth = ring(rng, n=40, noise=NOISE, loops=14)
     prior, edges = graph.factors
     chain, loops = slice(0, 39), slice(39, None)
