@@ -20,6 +20,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import align, prepare, prepare_points
 
 STARTS = range(0, 560, 40)
+TRIALS = 2
 PERTURBATIONS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0), (5.0, 10.0), (10.0, 10.0))
 
 Aligner = Callable[[np.ndarray], np.ndarray]
@@ -81,16 +82,16 @@ def main() -> None:
         for name, build in builders.items():
             aligner, rng = build(target, source), np.random.default_rng(start)
             for row, (centimetres, degrees) in enumerate(PERTURBATIONS):
-                for _ in range(4):
+                for _ in range(TRIALS):
                     found = aligner(given @ perturbation(rng, centimetres, degrees))
                     error = motion_error(found.astype(np.float64), given)
                     successes[name][row] += error[0] < 2 and error[1] < 1
-    table = Table(title="Successes of 56 from perturbed starts, %")
+    table = Table(title=f"Successes of {TRIALS * len(STARTS)} from perturbed starts, %")
     table.add_column("start off by")
     for name in builders:
         table.add_column(name, justify="right")
     for row, (centimetres, degrees) in enumerate(PERTURBATIONS):
-        shares = [f"{100 * s[row] / (4 * len(STARTS)):.0f}" for s in successes.values()]
+        shares = [f"{100 * s[row] / (TRIALS * len(STARTS)):.0f}" for s in successes.values()]
         table.add_row(f"{centimetres:.0f} cm, {degrees:.0f}°", *shares)
     Console(width=120).print(table)
 

@@ -25,7 +25,7 @@ from sfgs_jax.gicp.symmetric import INDICES
 
 def prepare_gaussians(
     means: Float[Array | np.ndarray, "N 3"],
-    covariances: Float[Array | np.ndarray, "N 3 3"],
+    covariances: Float[Array | np.ndarray, "K 3 3"],
     *,
     valid: Bool[Array | np.ndarray, " N"] | None = None,
     target_covariance: TargetCovariance = "neighbours",

@@ -45,10 +45,10 @@ class RigidResult(eqx.Module):
 
 def rigid_from_matches(
     source_points: Float[Array | np.ndarray, "N 3"],
-    target_points: Float[Array | np.ndarray, "N 3"],
-    weights: Float[Array | np.ndarray, " N"] | None = None,
+    target_points: Float[Array | np.ndarray, "M 3"],
+    weights: Float[Array | np.ndarray, " W"] | None = None,
     *,
-    valid: Bool[Array | np.ndarray, " N"] | None = None,
+    valid: Bool[Array | np.ndarray, " V"] | None = None,
     method: Method = "graduated",
     max_distance: float = 0.05,
     min_inlier_fraction: float = 0.1,

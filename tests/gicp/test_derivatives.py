@@ -46,8 +46,10 @@ def test_with_respect_to_depth(float64, rng):
         jnp.asarray(cast(CAMERA, T), jnp.float64) + n for T, n in zip((None, motion), noise, strict=True)
     )
 
+    camera = Camera(*jnp.asarray([75.0, 75.0, 39.5, 29.5]), width=80, height=60)
+
     def pose(source, target):
-        clouds = (prepare(x, CAMERA, config=CONFIG) for x in (source, target))
+        clouds = (prepare(x, camera, config=CONFIG) for x in (source, target))
         return align(*clouds, se3.from_matrix(motion, jnp.float64), config=CONFIG).T_target_source.wxyz_xyz
 
     compare(pose, (source, target), rng, step=1e-8)
