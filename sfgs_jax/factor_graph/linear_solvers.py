@@ -12,6 +12,7 @@ from sfgs_jax.factor_graph.multifrontal import multifrontal_cholesky, multifront
 from sfgs_jax.factor_graph.normal_equations import Reduced
 
 Solve = Callable[[Float[Array, "P 6"]], Float[Array, "P 6"]]
+_PcgState = tuple[Array, Array, Array, Float[Array, ""], Int[Array, ""]]
 
 
 def prepare_solve(
@@ -96,15 +97,14 @@ def _pcg(graph: FactorGraph, system: Reduced, tolerance: float, max_iterations: 
         return jnp.sum(a * b)
 
     def solve(right: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
-        State = tuple[Array, Array, Array, Float[Array, ""], Int[Array, ""]]
         start = precondition(right)
         target = tolerance**2 * dot(right, start)
 
-        def unfinished(state: State) -> Bool[Array, ""]:
+        def unfinished(state: _PcgState) -> Bool[Array, ""]:
             _, _, _, square, iteration = state
             return (square > target) & (iteration < max_iterations)
 
-        def step(state: State) -> State:
+        def step(state: _PcgState) -> _PcgState:
             x, residual, direction, square, iteration = state
             product = multiply(graph, system, direction)
             curvature = dot(direction, product)

@@ -1,5 +1,6 @@
 """Small graphs with known answers."""
 
+import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
@@ -44,7 +45,8 @@ def bundle(rng, poses: int = 6, landmarks: int = 40, noise: float = 0.5, **optio
     camera, landmark = camera[seen], landmark[seen]
     matrices = np.linalg.inv(se3.to_matrices(truth))[camera]
     local = np.einsum("nij,nj->ni", matrices[:, :3, :3], points[landmark]) + matrices[:, :3, 3]
-    pixels = np.asarray(CAMERA.project(jnp.asarray(local, dtype())))
+    camera_of_type = jax.tree.map(lambda x: x.astype(dtype()), CAMERA)
+    pixels = np.asarray(camera_of_type.project(jnp.asarray(local, dtype())))
     pixels = pixels + rng.normal(scale=noise, size=pixels.shape)
     ends = np.stack([np.arange(poses - 1), np.arange(1, poses)], axis=1)
     factors = [

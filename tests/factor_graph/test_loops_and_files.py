@@ -53,7 +53,7 @@ def test_thirty_percent_of_false_loops_hardly_matter(corrupted):
     naive = error(solved(prior, odometry, closures, start), truth)
     assert naive > 3 * without
     loops = RelativePose(*closures, eye(1e4, 1e4))
-    kept = consistent_loops(loops, start, drift_metres=0.05, drift_radians=0.02)
+    kept = consistent_loops(loops, start, metres=0.2, radians=0.08, drift_metres=0.05, drift_radians=0.02)
     np.testing.assert_array_equal(kept, ~false)
     robust = solved(
         prior,
