@@ -20,7 +20,7 @@ from sfgs_jax.gicp.padding import padded
 Method = Literal["least_squares", "graduated", "ransac"]
 _GRADUATIONS = 40
 _GRADUATION = 1.4
-_REFINEMENTS = 8
+_REFINEMENTS = 24
 
 
 class RigidResult(eqx.Module):
@@ -229,9 +229,11 @@ def _refined(matches: Matches, T: jaxlie.SE3, limit: Float[Array, ""] | None) ->
         anchor = 1e-3 * jnp.sqrt(jnp.maximum(jnp.sum(matches.weights), 1e-6))
         return root[:, None] * offsets, lax.stop_gradient(anchor) * delta
 
+    # The derivatives are those of the minimum, so the steps go on until rounding ends them.
+    tolerance = 10 * float(jnp.finfo(matches.source.dtype).eps)
     solution = optimistix.least_squares(
         residuals,
-        optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6),
+        optimistix.LevenbergMarquardt(rtol=tolerance, atol=tolerance),
         jnp.zeros(6, matches.source.dtype),
         (matches, lax.stop_gradient(T), limit),
         max_steps=_REFINEMENTS,

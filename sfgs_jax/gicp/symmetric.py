@@ -8,8 +8,9 @@ from jaxtyping import Array, Bool, Float
 
 # Rows and columns of the six entries xx, xy, xz, yy, yz, zz of a symmetric 3 x 3 matrix.
 INDICES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-# Where each entry of the matrix stands in that list.
-SQUARE = np.asarray([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+# Where each entry of the matrix stands in that list. Of 32 bits whatever the mode: JAX converts a NumPy array
+# once and keeps the result by identity, so that of 64 bits would cross from one mode to the other.
+SQUARE = np.asarray([[0, 1, 2], [1, 3, 4], [2, 4, 5]], np.int32)
 Symmetric = Float[Array, "6 N"]
 
 
