@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 import cv2
+import jax.numpy as jnp
 import numpy as np
 
 from experiments.xfeat import XFeat, normalised
@@ -28,7 +29,7 @@ _CELLS = SIZE // CELL
 _MIN_HEAT = 0.03
 _BORDER = 4.0
 _DEPTH_TOLERANCE = 0.03
-_RGBD_VIEW = ViewConfig(max_rotation_deg=15, scale=(0.8, 1.25), perspective=0.04, translation=0.05)
+_RGBD_VIEW = ViewConfig(max_rotation_deg=15.0, scale=(0.8, 1.25), perspective=0.04, translation=0.05)
 
 Carry = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Takes pixels (N, 2) of the first image to the second; also says which (N,) are seen there."""
@@ -96,8 +97,8 @@ class RecordingPairs:
         second = min(first + gap, len(self._greys) - 1)
         if rng.random() < 0.5:
             first, second = second, first
-        images = [self._greys[index].astype(np.float32) / 255 for index in (first, second)]
-        return Drawn(*images, lambda pixels: self._carry(first, second, pixels), _RGBD_VIEW)
+        a, b = (self._greys[index].astype(np.float32) / 255 for index in (first, second))
+        return Drawn(a, b, lambda pixels: self._carry(first, second, pixels), _RGBD_VIEW)
 
     def _carry(self, first: int, second: int, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         camera = self._camera
@@ -156,7 +157,8 @@ def _batch(
     )
     labelled = np.zeros(reliability.shape, np.float32)
     labelled[:, :, 1:-1, 1:-1] = 1
-    return Batch(images, heat, descriptors, reliability, labelled, np.stack(points), np.stack(seen))
+    arrays = (images, heat, descriptors, reliability, labelled, np.stack(points), np.stack(seen))
+    return Batch(*map(jnp.asarray, arrays))
 
 
 def _views(

@@ -165,7 +165,8 @@ def _save(config: TrainingConfig, state: TrainingState, entry: dict) -> None:
 
 
 def _plot(out: Path) -> None:
-    entries = {entry["step"]: entry for entry in map(json.loads, (out / "log.jsonl").open())}
+    lines = (out / "log.jsonl").read_text().splitlines()
+    entries = {entry["step"]: entry for entry in map(json.loads, lines)}
     steps = sorted(entries)
     names = list(entries[steps[-1]]["training"])
     figure, axes = plt.subplots(2, (len(names) + 1) // 2, figsize=(16, 6), layout="constrained")

@@ -10,6 +10,7 @@ from sfgs_jax import geometry as geometry
 from sfgs_jax import gicp as gicp
 from sfgs_jax import slam as slam
 from sfgs_jax import splatting as splatting
+from sfgs_jax import superfeats as superfeats
 from sfgs_jax.geometry import Camera as Camera
 from sfgs_jax.geometry import Frame as Frame
 

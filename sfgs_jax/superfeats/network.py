@@ -86,7 +86,7 @@ class Fusion(eqx.Module):
 class Network(eqx.Module):
     """Parameters of SuperFeats, trained or folded."""
 
-    levels: tuple[Level, Level, Level, Level]
+    levels: tuple[Level, ...]
     fusions: tuple[Fusion, Fusion]
     describe: Convolution
     rely: Convolution

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -26,7 +26,7 @@ from sfgs_jax.superfeats.sampling import sample
 
 
 class Batch(eqx.Module):
-    """B pairs of views with a teacher's labels and known correspondences; host or device arrays.
+    """B pairs of views with a teacher's labels and known correspondences.
 
     Attributes:
         images: (B, 2, S, S) normalised grey images.
@@ -38,13 +38,13 @@ class Batch(eqx.Module):
         seen: (B, N) which points are seen in both.
     """
 
-    images: Float[Array | np.ndarray, "b 2 s s"]
-    heat: Float[Array | np.ndarray, "b 2 c c 65"]
-    descriptors: Float[Array | np.ndarray, "b 2 c c d"]
-    reliability: Float[Array | np.ndarray, "b 2 c c"]
-    labelled: Float[Array | np.ndarray, "b 2 c c"]
-    points: Float[Array | np.ndarray, "b 2 n 2"]
-    seen: Bool[Array | np.ndarray, "b n"]
+    images: Float[Array, "b 2 s s"]
+    heat: Float[Array, "b 2 c c 65"]
+    descriptors: Float[Array, "b 2 c c d"]
+    reliability: Float[Array, "b 2 c c"]
+    labelled: Float[Array, "b 2 c c"]
+    points: Float[Array, "b 2 n 2"]
+    seen: Bool[Array, "b n"]
 
 
 @dataclass(frozen=True)
@@ -121,9 +121,9 @@ def train_step(
         return total, (figures, statistics.updated(network))
 
     gradient, (figures, network) = jax.grad(loss, has_aux=True)(state.network)
-    updates, optimiser_state = optimiser.update(gradient, state.optimiser, state.network)
+    updates, optimiser_state = optimiser.update(gradient, state.optimiser, cast(Any, state.network))
     # The running statistics have no gradient: what was updated are the weights alone.
-    return TrainingState(optax.apply_updates(network, updates), optimiser_state, state.step + 1), figures
+    return TrainingState(eqx.apply_updates(network, updates), optimiser_state, state.step + 1), figures
 
 
 @partial(jax.jit, static_argnames="weights")

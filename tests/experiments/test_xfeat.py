@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from experiments import xfeat
+from experiments.xfeat_size import resized_xfeat
 from sfgs_jax.geometry import InputError
 from sfgs_jax.superfeats import match
 
@@ -65,9 +66,6 @@ def test_an_image_without_texture_has_no_keypoints(network):
 
 
 def test_the_graph_of_another_size_has_the_same_weights(network, photo, sfgs_data):
-    pytest.importorskip("onnx", reason="onnx, which re-shapes the network, is not installed")
-    from experiments.xfeat_size import resized_xfeat
-
     weights = sfgs_data / "weights" / "xfeat_640x640.onnx"
     same = xfeat.XFeat(resized_xfeat(weights, 640, 640))
     image = np.zeros((640, 640), np.float32)

@@ -100,7 +100,9 @@ def test_the_gradient_is_the_slope(params, rng):
 
     slope = jax.grad(mean_cosine)(0.0)
     step = 1e-2
-    np.testing.assert_allclose(slope, (mean_cosine(step) - mean_cosine(-step)) / (2 * step), rtol=1e-2, atol=1e-4)
+    np.testing.assert_allclose(
+        slope, (mean_cosine(step) - mean_cosine(-step)) / (2 * step), rtol=1e-2, atol=1e-4
+    )
 
 
 def test_a_batch_is_the_same_as_one_by_one(params, rng):

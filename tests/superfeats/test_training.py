@@ -14,6 +14,7 @@ from sfgs_jax.superfeats.network import DESCRIPTOR_SIZE, NetworkConfig, initiali
 from sfgs_jax.superfeats.training import Batch, LossWeights, evaluate, initial_state, train_step
 
 SMALL = NetworkConfig(channels=(8, 16, 16, 16), bottlenecks=(1, 1, 1, 1), context=8)
+OPTIMISER = optax.adam(3e-3)
 SIZE = 64
 CELLS = SIZE // 8
 
@@ -33,22 +34,21 @@ def made_up_batch(rng: np.random.Generator, pairs: int) -> Batch:
     descriptors = rng.normal(size=(pairs, 2, CELLS, CELLS, DESCRIPTOR_SIZE)).astype(np.float32)
     heat = rng.random((pairs, 2, CELLS, CELLS, 65)).astype(np.float32)
     return Batch(
-        images=views,
-        heat=heat / heat.sum(-1, keepdims=True),
-        descriptors=np.asarray(unit(jnp.asarray(descriptors))),
-        reliability=rng.random((pairs, 2, CELLS, CELLS)).astype(np.float32),
-        labelled=np.ones((pairs, 2, CELLS, CELLS), np.float32),
-        points=np.tile(np.stack([points, points + np.float32([8, 0])]), (pairs, 1, 1, 1)),
-        seen=np.ones((pairs, len(points)), bool),
+        images=jnp.asarray(views),
+        heat=jnp.asarray(heat / heat.sum(-1, keepdims=True)),
+        descriptors=unit(jnp.asarray(descriptors)),
+        reliability=jnp.asarray(rng.random((pairs, 2, CELLS, CELLS)), jnp.float32),
+        labelled=jnp.ones((pairs, 2, CELLS, CELLS)),
+        points=jnp.tile(np.stack([points, points + np.float32([8, 0])]), (pairs, 1, 1, 1)),
+        seen=jnp.ones((pairs, len(points)), bool),
     )
 
 
 def run(batch: Batch, steps: int, weights: LossWeights):
-    optimiser = optax.adam(3e-3)
-    state = initial_state(initialise_network(jax.random.key(0), SMALL), optimiser)
+    state = initial_state(initialise_network(jax.random.key(0), SMALL), OPTIMISER)
     history = []
     for _ in range(steps):
-        state, figures = train_step(state, batch, optimiser=optimiser, weights=weights)
+        state, figures = train_step(state, batch, optimiser=OPTIMISER, weights=weights)
         history.append({name: float(value) for name, value in figures.items()})
     return state, history
 

@@ -1,0 +1,59 @@
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from experiments import train_superfeats
+from experiments.train_superfeats import TrainingConfig, train
+from sfgs_jax.superfeats.network import NetworkConfig
+
+SMALL = NetworkConfig(channels=(8, 8, 8, 8), bottlenecks=(1, 1, 1, 1), context=8)
+
+
+@pytest.fixture(autouse=True)
+def _promotion_as_optax_needs_it():
+    with jax.numpy_dtype_promotion("standard"):
+        yield
+
+
+def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monkeypatch):
+    def config(name: str) -> TrainingConfig:
+        return TrainingConfig(
+            tmp_path / name,
+            steps=4,
+            pairs=2,
+            warm_up=1,
+            save_every=2,
+            recording_share=0.0,
+            data=sfgs_data / "data",
+            network=SMALL,
+        )
+
+    monkeypatch.setattr(train_superfeats, "_VALIDATION_BATCHES", 1)
+    train(config("whole"))
+
+    save = train_superfeats._save
+
+    def save_and_stop(*arguments):
+        save(*arguments)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as killed, pytest.raises(KeyboardInterrupt):
+        killed.setattr(train_superfeats, "_save", save_and_stop)
+        train(config("killed"))
+    train(config("killed"))
+
+    whole, resumed = (tmp_path / name / "weights.safetensors" for name in ("whole", "killed"))
+    assert whole.read_bytes() == resumed.read_bytes()
+    first, second = (_figures(tmp_path / name) for name in ("whole", "killed"))
+    assert [entry["step"] for entry in second] == [2, 4]
+    for a, b in zip(first, second, strict=True):
+        assert a["training"] == b["training"]
+        assert np.isfinite(list(a["validation"].values())).all()
+    assert (tmp_path / "killed" / "curves.png").stat().st_size > 1000
+
+
+def _figures(run: Path) -> list[dict]:
+    return [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
