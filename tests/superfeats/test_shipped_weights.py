@@ -1,0 +1,44 @@
+"""What the weights in the package can do."""
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax.evaluation import corner_error, correct_matches, estimate_homography, repeatability
+from sfgs_jax.superfeats import extract, load_weights, match
+
+H = np.array([[0.9, 0.15, 20.0], [-0.12, 0.95, 30.0], [1e-4, -5e-5, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def params():
+    return load_weights()
+
+
+@pytest.fixture(scope="module")
+def photo(sfgs_data) -> np.ndarray:
+    path = sorted((sfgs_data / "data" / "photos" / "bsds").glob("*.jpg"))[0]
+    return cv2.imread(str(path)).astype(np.float32) / 255
+
+
+def test_a_turned_and_darkened_photograph_is_recognised(params, photo):
+    height, width = photo.shape[:2]
+    changed = 0.6 * cv2.warpPerspective(photo, H, (width, height)) ** 1.2
+    a, b = (extract(params, jnp.asarray(image), max_keypoints=512) for image in (photo, changed))
+    found = match(a, b)
+    valid = np.asarray(found.valid)
+    points_a = np.asarray(a.keypoints, np.float64)[valid]
+    points_b = np.asarray(b.keypoints, np.float64)[np.asarray(found.index_b)[valid]]
+    assert valid.sum() > 100
+    assert correct_matches(points_a, points_b, H).mean() > 0.7
+    assert corner_error(estimate_homography(points_a, points_b), H, (height, width)) < 3
+    every_a, every_b = (np.asarray(x.keypoints, np.float64)[np.asarray(x.valid)] for x in (a, b))
+    assert repeatability(every_a, every_b, H, (height, width), (height, width)) > 0.3
+
+
+def test_the_file_is_small_and_the_network_folded(params):
+    size = sum(leaf.nbytes for leaf in jax.tree.leaves(params))
+    assert size < 1_500_000
+    assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(params))
