@@ -13,7 +13,8 @@ def cast(camera: Camera, T_world_cam=None, planes=CORNER, spheres=SPHERES) -> np
     """Depth image (H, W), float32 metres, of planes (normal, distance) and spheres (centre, radius)."""
     T_world_cam = np.eye(4) if T_world_cam is None else np.asarray(T_world_cam, np.float64)
     v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
+    fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], -1)
     rays = rays @ T_world_cam[:3, :3].T
     origin = T_world_cam[:3, 3]
     hits = []
