@@ -1,6 +1,6 @@
 """Registration of depth images: time and error on RedKitchen, beside small_gicp and Open3D where installed.
 
-    python -m benchmarks.gicp
+    python -m benchmarks.gicp [frames apart ...]
 
 Reads the recordings below SFGS_DATA, else ../shared. Times are medians after warm-up, from a depth image on
 the host to a pose; errors are against the poses given with the recording, which are good to about a
@@ -9,8 +9,9 @@ centimetre, from a start at the identity. Compare columns of one run: absolute t
 
 import importlib.util
 import os
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -121,9 +122,9 @@ def open3d() -> Registration:
     return register
 
 
-def measure(name: str, register: Registration, folder: Path, table: Table) -> None:
+def measure(name: str, register: Registration, folder: Path, gaps: Sequence[int], table: Table) -> None:
     register(load(folder, 0)[0], load(folder, 1)[0])
-    for gap in GAPS:
+    for gap in gaps:
         errors, stages = [], []
         for start in STARTS:
             (target, T_world_target), (source, T_world_source) = (
@@ -152,10 +153,11 @@ def main() -> None:
         "° median / p90",
     ):
         table.add_column(column, justify="left" if not column else "right")
-    measure("sfgs_jax", this_library(), folder, table)
+    gaps = tuple(map(int, sys.argv[1:])) or GAPS
+    measure("sfgs_jax", this_library(), folder, gaps, table)
     for name, peer in (("small_gicp", small_gicp), ("open3d", open3d)):
         if importlib.util.find_spec(name):
-            measure(name, peer(), folder, table)
+            measure(name, peer(), folder, gaps, table)
     Console(width=120).print(table)
 
 
