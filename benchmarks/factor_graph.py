@@ -1,12 +1,14 @@
-"""Factor graphs: bundle adjustment and a public pose graph, beside GTSAM where that is installed.
+"""Factor graphs: bundle adjustment and a public pose graph beside GTSAM, and growth with the number of poses.
 
-    python -m benchmarks.factor_graph
+    python -m benchmarks.factor_graph [bundle] [sphere] [growth]
 
-Reads data/bench/ba_problem.npz below SFGS_DATA, else ../shared; sphere2500 comes with GTSAM. Times are
-medians after warm-up, from values to values. Compare rows of one run: absolute times depend on the machine.
+All three without arguments. Reads data/bench/ba_problem.npz below SFGS_DATA, else ../shared; GTSAM, the peer,
+brings sphere2500. Times are medians after warm-up, from values to values, without laying the graph out. Costs
+are what GTSAM computes in float64 from the values either ends with; "above" is ours over GTSAM's, less one.
+Compare rows of one run: absolute times depend on the machine.
 """
 
-import importlib.util
+import argparse
 import os
 import time
 from collections.abc import Callable
@@ -21,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sfgs_jax.factor_graph import (
+    Factor,
     FactorGraph,
     PosePrior,
     RelativePose,
@@ -29,7 +32,7 @@ from sfgs_jax.factor_graph import (
     Values,
     solve,
 )
-from sfgs_jax.geometry import Camera, InputError
+from sfgs_jax.geometry import Camera, InputError, se3
 from sfgs_jax.geometry.rotations import quaternions_from_rotations
 
 
@@ -108,7 +111,7 @@ def sphere() -> tuple[FactorGraph, Values, Any, Any]:
     import gtsam  # pyright: ignore[reportMissingImports]
 
     peer, _ = gtsam.load3D(gtsam.findExampleDataFile("sphere2500.txt"))
-    edges = [peer.at(i) for i in range(peer.size())]
+    edges: list[Any] = [peer.at(i) for i in range(peer.size())]
     ends = np.array([edge.keys() for edge in edges])
     measured = np.array([edge.measured().matrix() for edge in edges])
     # GTSAM's tangents are rotation first.
@@ -130,6 +133,36 @@ def sphere() -> tuple[FactorGraph, Values, Any, Any]:
     return jax.tree.map(jnp.asarray, graph), Values(motions(np.array(poses))), peer, start
 
 
+def corridor(poses: int) -> tuple[list[Factor], Values]:
+    """Cameras in a row, 30 landmarks for each, every landmark seen by the cameras before which it lies."""
+    rng = np.random.default_rng(0)
+    truth = np.tile(np.eye(4), (poses, 1, 1))
+    truth[:, 0, 3] = 0.3 * np.arange(poses)
+    centre = np.repeat(np.arange(poses), 30)
+    points = rng.uniform([-0.15, -0.8, 2], [0.15, 0.8, 4], (len(centre), 3))
+    points[:, 0] += 0.3 * centre
+    camera, landmark = centre[:, None] + np.arange(-6, 7), np.arange(len(centre))[:, None]
+    local = points[:, None] - np.eye(3)[0] * 0.3 * camera[:, :, None]
+    pixels = 500 * local[..., :2] / local[..., 2:] + np.array([320.0, 240.0])
+    inside = np.all((pixels >= 0) & (pixels < [640, 480]), axis=2) & (camera >= 0) & (camera < poses)
+    seen = pixels[inside] + rng.normal(size=(inside.sum(), 2))
+    ends = np.stack([np.arange(poses - 1), np.arange(1, poses)], axis=1)
+    step = motions(np.linalg.inv(truth[:1]) @ truth[1:2]).wxyz_xyz
+    factors = [
+        PosePrior([0], motions(truth[:1]), precision(0.01, 0.01)),
+        RelativePose(ends, jaxlie.SE3(jnp.tile(step, (poses - 1, 1))), precision(0.02, 0.01)),
+        Reprojection(
+            camera[inside],
+            np.broadcast_to(landmark, camera.shape)[inside],
+            jnp.asarray(seen, jnp.float32),
+            Camera(500.0, 500.0, 320.0, 240.0, width=640, height=480),
+        ),
+    ]
+    noise = se3.exp(jnp.asarray(rng.normal(scale=0.02, size=(poses, 6)), jnp.float32))
+    start = points + rng.normal(scale=0.05, size=points.shape)
+    return factors, Values(se3.compose(motions(truth), noise), jnp.asarray(start, jnp.float32))
+
+
 def median_ms(run: Callable[[], Any], repetitions: int) -> tuple[float, Any]:
     times, result = [], None
     for _ in range(repetitions):
@@ -139,38 +172,93 @@ def median_ms(run: Callable[[], Any], repetitions: int) -> tuple[float, Any]:
     return 1000 * float(np.median(times)), result
 
 
-def add_ours(
-    table: Table, name: str, graph: FactorGraph, values: Values, config: SolverConfig, repetitions: int
-) -> None:
-    jax.block_until_ready(solve(graph, values, config))
-    ms, solution = median_ms(lambda: solve(graph, values, config), repetitions)
-    table.add_row(name, "sfgs_jax", f"{ms:.1f}", f"{float(solution.cost):.3f}", str(int(solution.iterations)))
-
-
-def add_gtsam(table: Table, name: str, graph: Any, start: Any, repetitions: int) -> None:
+def peer_values(values: Values) -> Any:
+    """Ours, as GTSAM holds them."""
     import gtsam  # pyright: ignore[reportMissingImports]
 
-    def run() -> tuple[float, int]:
-        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, gtsam.LevenbergMarquardtParams())
-        return graph.error(optimizer.optimize()), optimizer.iterations()
+    X, L = gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
+    pose = X if len(values.landmarks) else int
+    result = gtsam.Values()
+    rows = np.asarray(values.poses.wxyz_xyz, np.float64)
+    for i, row in enumerate(rows):
+        wxyz = row[:4] / np.linalg.norm(row[:4])
+        result.insert(pose(i), gtsam.Pose3(gtsam.Rot3.Quaternion(*wxyz), row[4:]))
+    for i, point in enumerate(np.asarray(values.landmarks, np.float64)):
+        result.insert(L(i), point)
+    return result
 
-    ms, (cost, iterations) = median_ms(run, repetitions)
-    table.add_row(name, "GTSAM LM", f"{ms:.1f}", f"{cost:.3f}", str(iterations))
+
+def compare(name: str, problem: tuple[FactorGraph, Values, Any, Any], repetitions: tuple[int, int]) -> Table:
+    """Ours beside GTSAM's Levenberg-Marquardt with its default settings."""
+    import gtsam  # pyright: ignore[reportMissingImports]
+
+    graph, values, peer, start = problem
+    config = SolverConfig(max_iterations=100)
+    jax.block_until_ready(solve(graph, values, config))
+    ours_ms, solution = median_ms(lambda: solve(graph, values, config), repetitions[0])
+
+    def run_peer() -> tuple[Any, int]:
+        optimizer = gtsam.LevenbergMarquardtOptimizer(peer, start, gtsam.LevenbergMarquardtParams())
+        return optimizer.optimize(), optimizer.iterations()
+
+    peer_ms, (peer_optimum, iterations) = median_ms(run_peer, repetitions[1])
+    ours, theirs = peer.error(peer_values(solution.values)), peer.error(peer_optimum)
+    table = Table(title=name)
+    for column in ("solver", "ms", "cost", "above", "iterations"):
+        table.add_column(column, justify="left" if column == "solver" else "right")
+    above = f"{ours / theirs - 1:+.1e}"
+    table.add_row("sfgs_jax", f"{ours_ms:.1f}", f"{ours:.3f}", above, str(int(solution.iterations)))
+    table.add_row("GTSAM LM", f"{peer_ms:.1f}", f"{theirs:.3f}", "", str(iterations))
+    return table
+
+
+def growth() -> Table:
+    table = Table(title="Growth, 30 landmarks for each pose")
+    for column in ("poses", "observations", "solver", "lay out ms", "ms / iteration", "MB", "iterations"):
+        table.add_column(column, justify="left" if column == "solver" else "right")
+    for poses in (25, 50, 100, 200, 400, 800):
+        factors, values = corridor(poses)
+        begin = time.perf_counter()
+        graph = FactorGraph(factors, num_poses=poses, num_landmarks=len(values.landmarks))
+        layout = 1000 * (time.perf_counter() - begin)
+        graph = jax.tree.map(jnp.asarray, graph)
+        program = jax.jit(solve).lower(graph, values).compile()
+        jax.block_until_ready(program(graph, values))
+        ms, solution = median_ms(lambda: program(graph, values), 3)  # noqa: B023
+        count = int(solution.iterations)
+        memory = program.memory_analysis()
+        assert memory is not None
+        megabytes = (memory.temp_size_in_bytes + memory.argument_size_in_bytes) / 1e6
+        table.add_row(
+            str(poses),
+            str(len(factors[2].valid)),
+            graph.linear_solver,
+            f"{layout:.0f}",
+            f"{ms / count:.2f}",
+            f"{megabytes:.1f}",
+            str(count),
+        )
+    return table
 
 
 def main() -> None:
-    table = Table(title="Factor graphs")
-    for column in ("", "solver", "ms", "cost", "iterations"):
-        table.add_column(column, justify="left" if column in ("", "solver") else "right")
-    problem = bundle_adjustment()
-    name = "bundle adjustment, 100 poses"
-    add_ours(table, name, *our_bundle_adjustment(problem), SolverConfig(), 15)
-    if importlib.util.find_spec("gtsam"):
-        add_gtsam(table, name, *gtsam_bundle_adjustment(problem), 3)
-        graph, values, peer, start = sphere()
-        add_ours(table, "sphere2500", graph, values, SolverConfig(max_iterations=60), 3)
-        add_gtsam(table, "sphere2500", peer, start, 1)
-    Console(width=100).print(table)
+    parser = argparse.ArgumentParser(description="Benchmarks of the factor graph.")
+    parts = ("bundle", "sphere", "growth")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"which of {', '.join(parts)}; all by default"
+    )
+    chosen = parser.parse_args().parts or parts
+    if unknown := set(chosen) - set(parts):
+        parser.error(f"unknown parts: {', '.join(sorted(unknown))}")
+    console = Console(width=110)
+    if "bundle" in chosen:
+        problem = bundle_adjustment()
+        both = *our_bundle_adjustment(problem), *gtsam_bundle_adjustment(problem)
+        console.print(compare("Bundle adjustment: 100 poses, 3000 landmarks", both, (15, 3)))
+    if "sphere" in chosen:
+        console.print(compare("sphere2500, from its odometry", sphere(), (3, 1)))
+    if "growth" in chosen:
+        console.print(growth())
 
 
 if __name__ == "__main__":

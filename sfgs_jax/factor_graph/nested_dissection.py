@@ -15,7 +15,7 @@ import equinox as eqx
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Array, Bool, Int
-from scipy.sparse.csgraph import breadth_first_order
+from scipy.sparse.csgraph import dijkstra
 
 LEAF_POSES = 12
 """A part of so few poses is eliminated at once."""
@@ -78,7 +78,7 @@ def plan_elimination(
     used = rows < num_poses
     a, b = rows[used].astype(np.int64), columns[used].astype(np.int64)
     ones = np.ones(2 * len(a), np.int8)
-    adjacency = sparse.csr_matrix(
+    adjacency = sparse.csr_array(
         (ones, (np.concatenate([a, b]), np.concatenate([b, a]))), (num_poses, num_poses)
     )
     root = _dissect(adjacency, np.arange(num_poses), 0)
@@ -105,7 +105,7 @@ def plan_elimination(
     return EliminationPlan(_levels(depths, order, owner, rows, columns, num_poses), transposed)
 
 
-def _dissect(adjacency: sparse.csr_matrix, poses: np.ndarray, depth: int) -> _Node:
+def _dissect(adjacency: sparse.csr_array, poses: np.ndarray, depth: int) -> _Node:
     if len(poses) <= LEAF_POSES:
         return _Node(poses, depth)
     within = adjacency[poses][:, poses]
@@ -127,22 +127,15 @@ def _dissect(adjacency: sparse.csr_matrix, poses: np.ndarray, depth: int) -> _No
     return node
 
 
-def _levels_from_afar(adjacency: sparse.csr_matrix) -> np.ndarray:
+def _levels_from_afar(adjacency: sparse.csr_array) -> np.ndarray:
     """Breadth-first level of each vertex, from one at the far end; what can't be reached comes after."""
-    start = 0
-    for _ in range(2):
-        order, _ = breadth_first_order(adjacency, start, return_predecessors=True)
-        start = int(order[-1])
-    order, predecessors = breadth_first_order(adjacency, start, return_predecessors=True)
-    distance = np.full(adjacency.shape[0], -1)
-    distance[start] = 0
-    for vertex in order[1:]:
-        distance[vertex] = distance[predecessors[vertex]] + 1
-    lost = distance < 0
-    if lost.any():
-        # The empty level between keeps the parts apart.
-        distance[lost] = distance.max() + 2
-    return distance
+    distance = np.zeros(len(adjacency.indptr) - 1)
+    for _ in range(3):
+        start = int(np.argmax(np.where(np.isfinite(distance), distance, -1)))
+        distance = dijkstra(adjacency, directed=False, indices=start, unweighted=True)
+    # The empty level between keeps the parts apart.
+    reached = np.isfinite(distance)
+    return np.where(reached, distance, distance[reached].max() + 2).astype(np.int64)
 
 
 def _collect(node: _Node, depths: list[list[_Node]]) -> None:
