@@ -50,7 +50,7 @@ def _assemble(
     updates: Float[Array, "c t 6 6"] | None,
     child: Level | None,
     num_poses: int,
-) -> tuple[Float[Array, "n s s"], Float[Array, "n t s"], Float[Array, "n u 6 6"] | None]:
+) -> tuple[Float[Array, "n s s"], Float[Array, "n b s"], Float[Array, "n u 6 6"] | None]:
     """Fronts of a level: own columns, columns below, and the lower triangle of the boundary's corner."""
     n, o = level.own.shape
     b = level.boundary.shape[1]

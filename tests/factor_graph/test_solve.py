@@ -82,13 +82,13 @@ def test_every_solver_reaches_the_float64_optimum(rng, solver, method):
 
 
 def test_a_long_graph_is_dissected_and_solved(rng):
-    graph, start, truth = ring(rng, n=200, noise=0.003, loops=20)
+    graph, start, truth = ring(rng, n=140, noise=0.003, loops=20)
     assert graph.linear_solver == "sparse"
     assert len(graph.plan.levels) > 3
     solution = solve(graph, start)
     assert solution.status == Status.CONVERGED
     with jax.enable_x64(True):
-        graph, start, _ = ring(np.random.default_rng(0), n=200, noise=0.003, loops=20, linear_solver="dense")
+        graph, start, _ = ring(np.random.default_rng(0), n=140, noise=0.003, loops=20, linear_solver="dense")
         best = solve(graph, start, SolverConfig(cost_tolerance=1e-12))
     np.testing.assert_allclose(solution.cost, best.cost, rtol=1e-3)
     error = np.asarray(solution.values.poses.wxyz_xyz - truth.poses.wxyz_xyz)[:, 4:]
