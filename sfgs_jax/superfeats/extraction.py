@@ -4,7 +4,8 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Num
 
 from sfgs_jax.geometry import InputError
 from sfgs_jax.superfeats.detection import heat_map, local_maxima, refine, strongest
@@ -16,7 +17,7 @@ from sfgs_jax.superfeats.sampling import sample
 
 def extract(
     params: Network,
-    image: Float[Array, "h w"] | Float[Array, "h w 3"],
+    image: Num[Array | np.ndarray, "h w"] | Num[Array | np.ndarray, "h w 3"],
     *,
     max_keypoints: int = 1024,
     min_heat: float = 0.01,
@@ -29,7 +30,7 @@ def extract(
 
     Args:
         params: a folded network: `load_weights()`, or `fold` of a network in training.
-        image: grey, or RGB, whose mean is taken; any size, any range of values.
+        image: grey, or RGB, whose mean is taken; any size, any range of values, integers too.
         max_keypoints: K, slots for keypoints.
         min_heat: probability of a keypoint at its pixel below which there is none.
 
@@ -43,9 +44,10 @@ def extract(
         raise InputError(f"max_keypoints must be at least 1, not {max_keypoints}.")
     if image.size == 0:
         raise InputError(f"The image is empty: its shape is {image.shape}.")
-    return _extract(
-        params, jnp.asarray(image), jnp.asarray(min_heat, image.dtype), max_keypoints=max_keypoints
-    )
+    image = jnp.asarray(image)
+    if not jnp.issubdtype(image.dtype, jnp.floating):
+        image = image.astype(jnp.result_type(float))
+    return _extract(params, image, jnp.asarray(min_heat, image.dtype), max_keypoints=max_keypoints)
 
 
 @partial(jax.jit, static_argnames="max_keypoints")

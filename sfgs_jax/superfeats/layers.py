@@ -1,5 +1,6 @@
 """Convolutions, with and without batch normalisation."""
 
+import math
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -7,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 _MOMENTUM = 0.99
 _VARIANCE_FLOOR = 1e-5
@@ -38,19 +39,32 @@ Apply: TypeAlias = Callable[..., Float[Array, "b h w o"]]
 """How a hidden layer acts: `apply(layer, x, stride=1)`, its non-linearity included."""
 
 
-def initialise(key: PRNGKeyArray, size: int, inputs: int, outputs: int) -> NormalisedConvolution:
+class Noise:
+    """Normal random numbers, handed out in arrays of any shape: drawn at once, they are one small program
+    instead of one for each shape."""
+
+    def __init__(self, stock: Float[Array, " n"] | None) -> None:
+        """Hand out `stock`; or, if None, zeros, to see how many numbers it takes."""
+        self._stock = stock
+        self.taken = 0
+
+    def take(self, *shape: int) -> Float[Array, "..."]:
+        """The next numbers."""
+        start = self.taken
+        self.taken += math.prod(shape)
+        return jnp.zeros(shape) if self._stock is None else self._stock[start : self.taken].reshape(shape)
+
+
+def initialise(noise: Noise, size: int, inputs: int, outputs: int) -> NormalisedConvolution:
     """He-normal weights; a normalisation that changes nothing yet."""
-    fan_in = size * size * inputs
-    weight = jax.random.normal(key, (size, size, inputs, outputs)) * jnp.sqrt(2.0 / fan_in)
-    return NormalisedConvolution(
-        weight, jnp.ones(outputs), jnp.zeros(outputs), jnp.zeros(outputs), jnp.ones(outputs)
-    )
+    weight = noise.take(size, size, inputs, outputs) * math.sqrt(2 / (size * size * inputs))
+    zeros, ones = jnp.zeros(outputs), jnp.ones(outputs)
+    return NormalisedConvolution(weight, scale=ones, offset=zeros, mean=zeros, variance=ones)
 
 
-def initialise_linear(key: PRNGKeyArray, inputs: int, outputs: int) -> Convolution:
+def initialise_linear(noise: Noise, inputs: int, outputs: int) -> Convolution:
     """A 1x1 layer without normalisation, for the outputs of the network."""
-    weight = jax.random.normal(key, (1, 1, inputs, outputs)) * jnp.sqrt(1.0 / inputs)
-    return Convolution(weight, jnp.zeros(outputs))
+    return Convolution(noise.take(1, 1, inputs, outputs) / math.sqrt(inputs), jnp.zeros(outputs))
 
 
 def convolve(
@@ -112,6 +126,7 @@ class BatchStatistics:
         return jax.tree.map(update, network, is_leaf=lambda node: isinstance(node, NormalisedConvolution))
 
 
+@jax.jit
 def fold(network):
     """The same network with each normalisation worked into its convolution."""
 

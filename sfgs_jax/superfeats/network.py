@@ -16,6 +16,7 @@ from sfgs_jax.superfeats.layers import (
     Apply,
     Convolution,
     Layer,
+    Noise,
     apply_folded,
     convolve,
     initialise,
@@ -112,40 +113,9 @@ class DenseFeatures(eqx.Module):
 @partial(jax.jit, static_argnames="config")
 def initialise_network(key: PRNGKeyArray, config: NetworkConfig = NetworkConfig()) -> Network:
     """A network with random weights, to be trained."""
-    keys = iter(jax.random.split(key, 64))
-
-    def layer(size: int, inputs: int, outputs: int) -> Layer:
-        return initialise(next(keys), size, inputs, outputs)
-
-    def c2f(channels: int, bottlenecks: int) -> C2f:
-        half = channels // 2
-        chain = tuple((layer(3, half, half), layer(3, half, half)) for _ in range(bottlenecks))
-        return C2f(layer(1, channels, channels), chain, layer(1, half * (2 + bottlenecks), channels))
-
-    inputs = (16, *config.channels[:3])
-    levels = tuple(
-        Level(layer(3, before, channels), c2f(channels, bottlenecks))
-        for before, channels, bottlenecks in zip(inputs, config.channels, config.bottlenecks, strict=True)
-    )
-    _, c8, c16, c32 = config.channels
-    fusions = (
-        Fusion(layer(1, c32, c16), layer(3, c16, c16)),
-        Fusion(layer(1, c16, c8), layer(3, c8, DESCRIPTOR_SIZE)),
-    )
-    pixels = CELL * CELL
-    return Network(
-        levels=levels,
-        fusions=fusions,
-        describe=initialise_linear(next(keys), DESCRIPTOR_SIZE, DESCRIPTOR_SIZE),
-        rely=initialise_linear(next(keys), DESCRIPTOR_SIZE, 1),
-        cell_layers=(layer(1, pixels, pixels), layer(1, pixels, pixels)),
-        context=(
-            layer(1, pixels, config.context),
-            layer(3, config.context, config.context),
-            layer(1, config.context, pixels),
-        ),
-        detect=initialise_linear(next(keys), pixels, pixels + 1),
-    )
+    count = Noise(None)
+    jax.eval_shape(lambda: _build(config, count))
+    return _build(config, Noise(jax.random.normal(key, (count.taken,))))
 
 
 def normalise(images: Float[Array, "b h w"]) -> Float[Array, "b h w"]:
@@ -195,3 +165,38 @@ def _space_to_depth(x: Float[Array, "b h w c"], size: int) -> Float[Array, "b h2
 
 def _double(x: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 c"]:
     return jnp.repeat(jnp.repeat(x, 2, axis=1), 2, axis=2)
+
+
+def _build(config: NetworkConfig, noise: Noise) -> Network:
+    def layer(size: int, inputs: int, outputs: int) -> Layer:
+        return initialise(noise, size, inputs, outputs)
+
+    def c2f(channels: int, bottlenecks: int) -> C2f:
+        half = channels // 2
+        chain = tuple((layer(3, half, half), layer(3, half, half)) for _ in range(bottlenecks))
+        return C2f(layer(1, channels, channels), chain, layer(1, half * (2 + bottlenecks), channels))
+
+    inputs = (16, *config.channels[:3])
+    levels = tuple(
+        Level(layer(3, before, channels), c2f(channels, bottlenecks))
+        for before, channels, bottlenecks in zip(inputs, config.channels, config.bottlenecks, strict=True)
+    )
+    _, c8, c16, c32 = config.channels
+    fusions = (
+        Fusion(layer(1, c32, c16), layer(3, c16, c16)),
+        Fusion(layer(1, c16, c8), layer(3, c8, DESCRIPTOR_SIZE)),
+    )
+    pixels = CELL * CELL
+    return Network(
+        levels=levels,
+        fusions=fusions,
+        describe=initialise_linear(noise, DESCRIPTOR_SIZE, DESCRIPTOR_SIZE),
+        rely=initialise_linear(noise, DESCRIPTOR_SIZE, 1),
+        cell_layers=(layer(1, pixels, pixels), layer(1, pixels, pixels)),
+        context=(
+            layer(1, pixels, config.context),
+            layer(3, config.context, config.context),
+            layer(1, config.context, pixels),
+        ),
+        detect=initialise_linear(noise, pixels, pixels + 1),
+    )

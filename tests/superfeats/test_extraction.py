@@ -51,6 +51,14 @@ def test_colour_is_its_mean_and_brightness_does_not_matter(params, rng):
     np.testing.assert_allclose(colour.descriptors, grey.descriptors, atol=1e-2)
 
 
+def test_bytes_are_read_like_floats(params, rng):
+    image = np.rint(np.asarray(blocks(rng, 64, 64)) * 255)
+    floats, integers = (
+        extract(params, image.astype(kind), max_keypoints=32) for kind in (np.float32, np.uint8)
+    )
+    np.testing.assert_array_equal(integers.keypoints, floats.keypoints)
+
+
 def test_what_lies_beyond_the_image_brings_no_keypoints(params, rng):
     features = extract(params, blocks(rng, 40, 40), max_keypoints=512)
     assert float(features.keypoints.max()) <= 40
