@@ -1,6 +1,6 @@
 """Factor graphs: bundle adjustment and a public pose graph beside GTSAM, and growth with the number of poses.
 
-    python -m benchmarks.factor_graph [bundle] [sphere] [growth]
+    python -m benchmarks.factor_graph [bundle] [sphere] [growth] [--poses 25 50 ...]
 
 All three without arguments. Reads data/bench/ba_problem.npz below SFGS_DATA, else ../shared; GTSAM, the peer,
 brings sphere2500. Times are medians after warm-up, from values to values, without laying the graph out. Costs
@@ -212,11 +212,11 @@ def compare(name: str, problem: tuple[FactorGraph, Values, Any, Any], repetition
     return table
 
 
-def growth() -> Table:
+def growth(sizes: list[int]) -> Table:
     table = Table(title="Growth, 30 landmarks for each pose")
     for column in ("poses", "observations", "solver", "lay out ms", "ms / iteration", "MB", "iterations"):
         table.add_column(column, justify="left" if column == "solver" else "right")
-    for poses in (25, 50, 100, 200, 400, 800):
+    for poses in sizes:
         factors, values = corridor(poses)
         begin = time.perf_counter()
         graph = FactorGraph(factors, num_poses=poses, num_landmarks=len(values.landmarks))
@@ -247,7 +247,9 @@ def main() -> None:
     parser.add_argument(
         "parts", nargs="*", metavar="PART", help=f"which of {', '.join(parts)}; all by default"
     )
-    chosen = parser.parse_args().parts or parts
+    parser.add_argument("--poses", type=int, nargs="+", default=[25, 50, 100, 200, 400, 800])
+    arguments = parser.parse_args()
+    chosen = arguments.parts or parts
     if unknown := set(chosen) - set(parts):
         parser.error(f"unknown parts: {', '.join(sorted(unknown))}")
     console = Console(width=110)
@@ -258,7 +260,7 @@ def main() -> None:
     if "sphere" in chosen:
         console.print(compare("sphere2500, from its odometry", sphere(), (3, 1)))
     if "growth" in chosen:
-        console.print(growth())
+        console.print(growth(arguments.poses))
 
 
 if __name__ == "__main__":
