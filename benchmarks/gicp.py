@@ -7,12 +7,14 @@ the host to a pose; errors are against the poses given with the recording, which
 centimetre, from a start at the identity. Compare columns of one run: absolute times depend on the machine.
 """
 
+import importlib
 import importlib.util
 import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import jax
@@ -98,7 +100,7 @@ def small_gicp(stride: int = 2, voxel: float = 0.05) -> Registration:
 
 def open3d() -> Registration:
     """Its multi-scale RGB-D odometry on depth alone, point to plane; depth is prepared within it."""
-    import open3d as peer  # pyright: ignore[reportMissingImports]
+    peer: Any = importlib.import_module("open3d")
 
     odometry, tensor = peer.t.pipelines.odometry, peer.core.Tensor
     intrinsics = tensor(np.asarray([[585.0, 0, 320.0], [0, 585.0, 240.0], [0, 0, 1]]))

@@ -1,13 +1,15 @@
 """How often registration succeeds from starts perturbed by up to 10 cm and 10 degrees, beside small_gicp.
 
-    python -m benchmarks.gicp_starts
+    python -m benchmarks.gicp_starts [word ...]
 
+With words only the columns that contain one of them, such as depth, points or small_gicp.
 RedKitchen depth images one frame apart, read below SFGS_DATA, else ../shared. A start is the given motion
 times a random one whose length and angle are those of its row. A success ends within 2 cm and 1 degree of the
 given motion; both allow for the poses given, which are good to about a centimetre.
 """
 
 import importlib.util
+import sys
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -75,6 +77,8 @@ def main() -> None:
     builders = {"sfgs_jax depth images": organised, "sfgs_jax points": unorganised}
     if importlib.util.find_spec("small_gicp"):
         builders |= {f"small_gicp, {100 * d:.0f} cm": small_gicp(d) for d in (0.1, 0.3, 1.0)}
+    words = sys.argv[1:] or [""]
+    builders = {name: b for name, b in builders.items() if any(word in name for word in words)}
     successes = {name: np.zeros(len(PERTURBATIONS)) for name in builders}
     for start in STARTS:
         (target, T_world_target), (source, T_world_source) = load(folder, start), load(folder, start + 1)

@@ -1,13 +1,19 @@
 """Settings of registration."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 from sfgs_jax.geometry.robust_kernels import Kernel
 
 Residual = Literal["point_to_point", "point_to_plane", "gicp"]
 TargetCovariance = Literal["isotropic", "map", "neighbours"]
 Optimizer = Literal["gauss_newton", "levenberg_marquardt"]
+_T = TypeVar("_T")
+
+
+def at_level(values: tuple[_T, ...], index: int) -> _T:
+    """What is given for a level, counted from the finest; levels beyond the list take its last value."""
+    return values[min(index, len(values) - 1)]
 
 
 @dataclass(frozen=True)
@@ -50,8 +56,8 @@ class GicpConfig:
     What is given per level counts from the finest; levels beyond the list take its last value.
     """
 
-    levels: int = 3
-    """Resolutions in the pyramid, each half the one before."""
+    levels: int = 4
+    """Resolutions in the pyramid, each half the one before: the coarsest decides how far off a start may be."""
 
     skipped_halvings: int = 1
     """How often the depth image is halved before the finest level: 1 makes a 320x240 level of 640x480."""
@@ -62,11 +68,11 @@ class GicpConfig:
     edge_tolerance: float = 0.02
     """Share of the depth beyond which a window is taken to straddle a depth edge."""
 
-    strides: tuple[int, ...] = (2, 1, 1)
+    strides: tuple[int, ...] = (2, 1, 1, 1)
     """Per level from the finest: every stride-th row and column of the source is aligned."""
 
-    max_iterations: tuple[int, ...] = (12, 8, 8)
-    """Per level from the finest: most steps."""
+    max_iterations: tuple[int, ...] = (12, 8, 24, 24)
+    """Per level from the finest: most steps. From a good start a level ends after a few."""
 
     optimizer: Optimizer = "gauss_newton"
     """`levenberg_marquardt` takes a step only if it lowers the cost, at the damping that does."""
@@ -78,14 +84,15 @@ class GicpConfig:
     epsilon: float = 1e-2
     """GICP: variance of a point along its normal, as a share of that within its plane."""
 
-    max_distance: float = 0.1
-    """Correspondences farther apart are dropped, metres at the finest level; doubled at each coarser one."""
+    max_distance: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8)
+    """Per level from the finest: correspondences farther apart are dropped, metres. The coarsest level has to
+    bear a start that is 10 cm and 10 degrees off, which moves a point at 3 m by more than half a metre."""
 
     max_voxels: float = 2.0
     """The same for unorganised targets, in voxels of the level; 1 to 2 is what the search reaches."""
 
-    min_normal_cosine: float = 0.7
-    """Correspondences whose normals differ more are dropped."""
+    min_normal_cosine: tuple[float, ...] = (0.7, 0.7, 0.5, 0.5)
+    """Per level from the finest: correspondences whose normals differ more are dropped."""
 
     kernel: Kernel = "huber"
     """Robust kernel of the residuals."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.gicp.cloud import OrganisedLevel
-from sfgs_jax.gicp.config import GicpConfig
+from sfgs_jax.gicp.config import GicpConfig, at_level
 from sfgs_jax.gicp.point_cloud import PointLevel
 from sfgs_jax.gicp.spatial_hash import SpatialHash, nearest
 from sfgs_jax.gicp.symmetric import INDICES, Symmetric, smallest_eigenpair
@@ -44,6 +44,7 @@ class Target(eqx.Module):
             triangle of the shape instead of the normal for Gaussians; (M, 3) where the target has neither.
         variance: what the target adds to a distance's variance, square metres.
         max_distance: farthest that a correspondence may be, metres.
+        min_normal_cosine: least cosine between the normals of a correspondence.
         search: camera of an organised target, hash of an unorganised one.
         oriented: whether the normals face the sensor; static.
     """
@@ -51,6 +52,7 @@ class Target(eqx.Module):
     rows: Float[Array, "M C"]
     variance: Float[Array, ""]
     max_distance: Float[Array, ""]
+    min_normal_cosine: Float[Array, ""]
     search: Camera | SpatialHash
     oriented: bool = eqx.field(static=True)
 
@@ -88,10 +90,12 @@ def samples_of(level: OrganisedLevel | PointLevel, stride: int, config: GicpConf
 
 def target_of(level: OrganisedLevel | PointLevel, index: int, config: GicpConfig) -> Target:
     """A level as target; `index` counts from the finest."""
+    cosine = at_level(config.min_normal_cosine, index)
     if isinstance(level, OrganisedLevel):
         rows = jnp.concatenate([level.points, level.normals], axis=-1).reshape(-1, 6)
         zero = jnp.zeros((), rows.dtype)
-        return Target(rows, zero, zero + config.max_distance * 2**index, level.camera, oriented=True)
+        reach = zero + at_level(config.max_distance, index)
+        return Target(rows, zero, reach, zero + cosine, level.camera, oriented=True)
     match level.covariance:
         case "neighbours":
             rows = jnp.concatenate([level.points, level.normals], axis=1)
@@ -100,7 +104,7 @@ def target_of(level: OrganisedLevel | PointLevel, index: int, config: GicpConfig
         case "isotropic":
             rows = level.points
     reach = config.max_voxels * level.voxel_size
-    return Target(rows, level.deviation**2, reach, level.grid, oriented=False)
+    return Target(rows, level.deviation**2, reach, jnp.full_like(reach, cosine), level.grid, oriented=False)
 
 
 def _shapes(covariances: Float[Array, "M 3 3"], epsilon: float) -> Float[Array, "M 6"]:
@@ -120,7 +124,7 @@ def dot(a: Float[Array, "3 N"], b: Float[Array, "3 N"]) -> Float[Array, " N"]:
 
 
 def associate(
-    source: Samples, target: Target, T_target_source: jaxlie.SE3, config: GicpConfig
+    source: Samples, target: Target, T_target_source: jaxlie.SE3
 ) -> tuple[Correspondences, Int[Array, " N"]]:
     """Correspondences at a motion, and the target's row of each."""
     index, inside = _find(source, target, T_target_source)
@@ -128,7 +132,7 @@ def associate(
     offset = source.points - pairs.points
     near = dot(offset, offset) < target.max_distance**2
     # A pixel without a surface has a zero normal, which fails here.
-    alike = dot(pairs.normals, source.normals) > config.min_normal_cosine
+    alike = dot(pairs.normals, source.normals) > target.min_normal_cosine
     return eqx.tree_at(lambda p: p.found, pairs, inside & near & alike), index
 
 

@@ -22,7 +22,8 @@ def load_points(path: Path | str) -> np.ndarray:
     except Exception as error:  # trimesh's readers raise whatever a broken file trips
         raise InputError(f"Cannot read points from {path}: {error}.") from error
     parts = loaded.geometry.values() if isinstance(loaded, trimesh.Scene) else [loaded]
-    vertices = [np.asarray(part.vertices, np.float64) for part in parts if hasattr(part, "vertices")]
+    kinds = trimesh.PointCloud, trimesh.Trimesh
+    vertices = [np.asarray(part.vertices, np.float64) for part in parts if isinstance(part, kinds)]
     points = np.concatenate(vertices) if vertices else np.zeros((0, 3))
     if not len(points):
         raise InputError(f"{path} holds no points; give a point cloud such as a PLY file.")

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp.cloud import OrganisedLevel
-from sfgs_jax.gicp.config import GicpConfig
+from sfgs_jax.gicp.config import GicpConfig, at_level
 from sfgs_jax.gicp.correspondences import (
     Correspondences,
     Samples,
@@ -53,7 +53,7 @@ class LevelProblem(eqx.Module):
 
     def pairs(self, T: jaxlie.SE3) -> Correspondences:
         """Correspondences at a motion."""
-        return associate(self.source, self.target, T, self.config)[0]
+        return associate(self.source, self.target, T)[0]
 
     def equations(self, T: jaxlie.SE3, pairs: Correspondences) -> Equations:
         """Normal equations at a motion."""
@@ -121,7 +121,7 @@ class LevelProblem(eqx.Module):
         The value is that motion, up to its tolerance; the derivative is that of where the steps end.
         """
         fixed = lax.stop_gradient(self)
-        pairs, index = associate(fixed.source, fixed.target, T, self.config)
+        pairs, index = associate(fixed.source, fixed.target, T)
 
         def equations_at(problem: "LevelProblem", delta: Float[Array, "6"]) -> Equations:
             moved = se3.compose(T, se3.exp(delta))
@@ -158,17 +158,17 @@ def level_problem(
     source: Levels, target: Levels, prior: MotionPrior | None, index: int, config: GicpConfig
 ) -> LevelProblem:
     """The problem at a level, counted from the finest; a cloud with fewer levels repeats its coarsest."""
-    stride = config.strides[min(index, len(config.strides) - 1)]
-    level = source[min(index, len(source) - 1)]
+    stride = at_level(config.strides, index)
+    level = at_level(source, index)
     samples = samples_of(level, stride, config)
     return LevelProblem(
         samples,
-        target_of(target[min(index, len(target) - 1)], index, config),
+        target_of(at_level(target, index), index, config),
         point_moments(samples.points),
         prior,
         config.kernel_width * 2**index,
         shared_by(level, stride, config),
-        config.max_iterations[min(index, len(config.max_iterations) - 1)],
+        at_level(config.max_iterations, index),
         config,
     )
 

@@ -91,7 +91,7 @@ def test_the_information_matrix_is_that_of_a_dense_computation(corner):
 
     T = np.asarray(se3.matrix(result.T_target_source), np.float64)
     level = samples_of(source.levels[0], CONFIG.strides[0], CONFIG)
-    pairs, _ = associate(level, target_of(target.levels[0], 0, CONFIG), result.T_target_source, CONFIG)
+    pairs, _ = associate(level, target_of(target.levels[0], 0, CONFIG), result.T_target_source)
     information, excess, weight = np.zeros((6, 6)), 0.0, 0.0
     for n in np.flatnonzero(pairs.found):
         p, q, t = (np.asarray(x, np.float64)[:, n] for x in (level.points, pairs.points, pairs.normals))
@@ -198,7 +198,7 @@ def test_a_wrong_surface_in_view_is_outvoted(corner):
 
 def test_levels_have_their_sizes_cameras_and_no_points_across_edges():
     cloud = prepare(cast(CAMERA), CAMERA, config=CONFIG)
-    assert [level.valid.shape for level in cloud.levels] == [(60, 80), (30, 40), (15, 20)]
+    assert [level.valid.shape for level in cloud.levels] == [(60, 80), (30, 40), (15, 20), (7, 10)]
     for level in cloud.levels:
         assert level.camera.shape == level.valid.shape
         valid = np.asarray(level.valid)
