@@ -57,7 +57,7 @@ class GicpConfig:
     """
 
     levels: int = 4
-    """Resolutions in the pyramid, each half the one before: the coarsest decides how far off a start may be."""
+    """Resolutions in the pyramid, each half the last; the coarsest decides how far off a start may be."""
 
     skipped_halvings: int = 1
     """How often the depth image is halved before the finest level: 1 makes a 320x240 level of 640x480."""
