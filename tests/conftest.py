@@ -14,6 +14,13 @@ import pytest  # noqa: E402
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _programs_of_one_file():
+    """Let go of a file's compiled programs: a process has room for a limited number of them, and crashes."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture
 def key() -> jax.Array:
     """A fixed random key."""
