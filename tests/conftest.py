@@ -40,6 +40,20 @@ def float64():
         yield
 
 
+@pytest.fixture
+def compilations():
+    """A list that grows by one with every program that XLA compiles."""
+    names: list[str] = []
+
+    def listen(event: str, duration: float, **_: object) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            names.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
 @pytest.fixture(scope="session")
 def sfgs_data() -> Path:
     """The folder with the real recordings and weights; without it a test is skipped, in CI it fails."""

@@ -1,5 +1,6 @@
 """Factors between a pose and a landmark: pixels, and pixels with depth."""
 
+from abc import abstractmethod
 from typing import Any
 
 import jax
@@ -62,11 +63,11 @@ class _Observation(Factor):
         rotation = matrices[:, :3]
         return rotation, apply_transposed(rotation, offset)
 
+    @abstractmethod
     def _project(
         self, points: Float[Array, "3 N"], rows: tuple[Float[Array, "..."], ...]
     ) -> tuple[Float[Array, "R N"], Float[Array, "R 3 N"]]:
         """Whitened residuals of points in the camera, and their slopes."""
-        raise NotImplementedError
 
 
 def _pixels(

@@ -11,20 +11,6 @@ from sfgs_jax import Frame, slam
 from sfgs_jax.geometry import se3
 
 
-@pytest.fixture
-def compilations():
-    """A list that grows by one with every program that XLA compiles."""
-    names: list[str] = []
-
-    def listen(event: str, duration: float, **_: object) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            names.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    yield names
-    jax.monitoring.unregister_event_duration_listener(listen)
-
-
 def follow(room, frames, config):
     state = slam.init(room.camera, config)
     infos = []

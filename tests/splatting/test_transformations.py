@@ -69,20 +69,6 @@ def test_forward_mode_is_refused_in_one_sentence(view):
         jax.jvp(moved, (jnp.float32(0),), (jnp.float32(1),))
 
 
-@pytest.fixture
-def compilations():
-    """A list that grows by one with every program that XLA compiles."""
-    names: list[str] = []
-
-    def listen(event: str, duration: float, **_: object) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            names.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    yield names
-    jax.monitoring.unregister_event_duration_listener(listen)
-
-
 def test_moved_gaussians_and_cameras_do_not_compile_again(view, compilations):
     scene, camera, T = view
     other = replace(scene, means=scene.means + 0.1, valid=~scene.valid)
