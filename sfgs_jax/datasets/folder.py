@@ -36,14 +36,16 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     pairs = [FilePair(c, d, t) for (c, d), t in zip(matched, timestamps.tolist(), strict=True)]
     width, height, depth_notes = registered_size(source, pairs, scale)
     ground_truth, truth_notes = _ground_truth(source / "poses.txt", timestamps, options)
+    camera = intrinsics.camera(width, height, source)
     return FileRecording(
         name=source.resolve().name,
         dataset="folder",
-        camera=intrinsics.camera(width, height, source),
+        camera=camera,
         pairs=pairs,
         units_per_metre=scale,
         ground_truth=ground_truth,
         notes=(*intrinsics.notes, *match_notes, *depth_notes, *truth_notes),
+        register=intrinsics.undistortion(camera),
     )
 
 

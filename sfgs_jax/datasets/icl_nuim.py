@@ -49,14 +49,16 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
         truth = dict(zip(numbers, _REFLECTION @ trajectory.poses @ _REFLECTION, strict=True))
     timestamps = np.asarray([pair.timestamp for pair in pairs])
     ground_truth, missing_notes = ground_truth_of([truth.get(n) for n in sorted(frames)], timestamps)
+    camera = intrinsics.camera(width, height, source)
     return FileRecording(
         name=source.resolve().name,
         dataset="icl_nuim",
-        camera=intrinsics.camera(width, height, source),
+        camera=camera,
         pairs=pairs,
         units_per_metre=scale,
         ground_truth=ground_truth,
         notes=(*intrinsics.notes, *depth_notes, *truth_notes, *missing_notes),
+        register=intrinsics.undistortion(camera),
     )
 
 

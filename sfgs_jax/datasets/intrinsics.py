@@ -1,15 +1,18 @@
 """Camera files: the intrinsics that users write for their own recordings."""
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from sfgs_jax.datasets.pose_files import read_text
+from sfgs_jax.datasets.undistortion import Undistortion
 from sfgs_jax.geometry import Camera, InputError
 
 EXAMPLE = '{"fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "depth_scale": 1000.0}'
 """A camera.json, for error messages."""
 
+_DISTORTION_COUNTS = (4, 5, 8)
 _NUMBERS = ("fx", "fy", "cx", "cy", "depth_scale", "width", "height", "fps")
 
 
@@ -26,6 +29,7 @@ class Intrinsics:
         fps: frames per second, or None.
         width: image width that these intrinsics belong to, or None.
         height: image height that these intrinsics belong to, or None.
+        distortion: coefficients of OpenCV's lens model (k1, k2, p1, p2[, k3[, k4, k5, k6]]), none if empty.
         notes: warnings for the log.
     """
 
@@ -37,6 +41,7 @@ class Intrinsics:
     fps: float | None = None
     width: int | None = None
     height: int | None = None
+    distortion: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
 
     def camera(self, width: int, height: int, source: Path) -> Camera:
@@ -57,9 +62,26 @@ class Intrinsics:
             )
         return Camera(self.fx, self.fy, self.cx, self.cy, width=width, height=height)
 
+    def pinhole(self, source: Path) -> "Intrinsics":
+        """These intrinsics, for a layout whose depth is another camera's and can't be undistorted with it.
+
+        Raises:
+            InputError: there is distortion.
+        """
+        if any(self.distortion):
+            raise InputError(
+                f"The intrinsics of {source} have lens distortion, which is taken out only where colour and depth "
+                "are registered already; undistort the images first (cv2.undistort)."
+            )
+        return self
+
+    def undistortion(self, camera: Camera) -> Undistortion | None:
+        """What takes the lens out of images of this camera; None if there is nothing to take out."""
+        return Undistortion(camera, self.distortion) if any(self.distortion) else None
+
 
 def read_camera_json(path: Path) -> Intrinsics:
-    """Read a camera.json: fx, fy, cx, cy in pixels; optional depth_scale, fps, width, height.
+    """Read a camera.json: fx, fy, cx, cy in pixels; optional depth_scale, fps, width, height, distortion.
 
     Raises:
         InputError: the file can't be read, isn't JSON, or lacks a number.
@@ -81,7 +103,8 @@ def read_camera_json(path: Path) -> Intrinsics:
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
             raise InputError(f"{path}: {key} must be a positive number, not {value!r}.")
         values[key] = float(value)
-    unknown = sorted(set(content) - set(_NUMBERS))
+    distortion = _distortion(content.get("distortion", []), path)
+    unknown = sorted(set(content) - {*_NUMBERS, "distortion"})
     notes = (f"{path} has entries that are not used: {', '.join(unknown)}.",) if unknown else ()
     width, height = (int(values[key]) if key in values else None for key in ("width", "height"))
     return Intrinsics(
@@ -90,5 +113,16 @@ def read_camera_json(path: Path) -> Intrinsics:
         fps=values.get("fps"),
         width=width,
         height=height,
+        distortion=distortion,
         notes=notes,
     )
+
+
+def _distortion(value: object, path: Path) -> tuple[float, ...]:
+    coefficients = value if isinstance(value, list) else [value]
+    numbers = [x for x in coefficients if isinstance(x, int | float) and math.isfinite(x)]
+    if value != [] and (len(numbers) != len(coefficients) or len(numbers) not in _DISTORTION_COUNTS):
+        raise InputError(
+            f"{path}: distortion must be a list of 4, 5 or 8 numbers (k1, k2, p1, p2, k3, ...), not {value!r}."
+        )
+    return tuple(float(x) for x in numbers)

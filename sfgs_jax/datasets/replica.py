@@ -40,14 +40,16 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     # Lines are numbered as the images are, also where some images were taken away.
     poses = [rows[n] if n < len(rows) else None for n in numbers]
     ground_truth, truth_notes = ground_truth_of(poses, np.asarray(numbers) / _FRAMES_PER_SECOND)
+    camera = intrinsics.camera(width, height, source)
     return FileRecording(
         name=source.resolve().name,
         dataset="replica",
-        camera=intrinsics.camera(width, height, source),
+        camera=camera,
         pairs=pairs,
         units_per_metre=scale,
         ground_truth=ground_truth,
         notes=(*intrinsics.notes, *depth_notes, *truth_notes),
+        register=intrinsics.undistortion(camera),
     )
 
 

@@ -92,7 +92,7 @@ def _intrinsics(
 ) -> tuple[Intrinsics, np.ndarray | None]:
     """Intrinsics of the depth camera, and the (2, 3) map from the scaled colour image to its pixels."""
     if options.camera is not None:
-        return read_camera_json(options.camera), None
+        return read_camera_json(options.camera).pinhole(source), None
     depth_file = source / "intrinsic" / "intrinsic_depth.txt"
     colour_file = source / "intrinsic" / "intrinsic_color.txt"
     if colour_size == depth_size and depth_file.is_file():

@@ -59,7 +59,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
             "7-Scenes sequences have one size."
         )
     height, width = depth.shape
-    intrinsics = read_camera_json(options.camera) if options.camera else _COLOUR
+    intrinsics = read_camera_json(options.camera).pinhole(source) if options.camera else _COLOUR
     camera = intrinsics.camera(width, height, source)
     timestamps = np.asarray([pair.timestamp for pair in pairs])
     ground_truth, truth_notes = ground_truth_of([_pose(pair) for pair in pairs], timestamps)

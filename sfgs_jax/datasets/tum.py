@@ -16,12 +16,15 @@ from sfgs_jax.datasets.pose_files import read_text
 from sfgs_jax.geometry import InputError
 
 _FREIBURG = {
-    "freiburg1": Intrinsics(517.3, 516.5, 318.6, 255.3),
-    "freiburg2": Intrinsics(520.9, 521.0, 325.1, 249.7),
+    "freiburg1": Intrinsics(
+        517.3, 516.5, 318.6, 255.3, distortion=(0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+    ),
+    "freiburg2": Intrinsics(
+        520.9, 521.0, 325.1, 249.7, distortion=(0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
+    ),
     "freiburg3": Intrinsics(535.4, 539.2, 320.1, 247.6),
 }
-# Colour and depth are distorted by the lens a little, which these published intrinsics leave out; the
-# correction factors that early papers applied to the depth are already in the images.
+# The correction factors that early papers applied to the depth are already in the images.
 _UNITS_PER_METRE = 5000.0
 
 
@@ -53,14 +56,16 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     ground_truth, truth_notes = ground_truth_by_time(
         source / "groundtruth.txt", colour_times[matched[:, 0]], options.association_limit
     )
+    camera = intrinsics.camera(width, height, source)
     return FileRecording(
         name=source.resolve().name,
         dataset="tum",
-        camera=intrinsics.camera(width, height, source),
+        camera=camera,
         pairs=pairs,
         units_per_metre=scale,
         ground_truth=ground_truth,
         notes=(*notes, *depth_notes, *truth_notes),
+        register=intrinsics.undistortion(camera),
     )
 
 
