@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, Float, Num
 
 from sfgs_jax.geometry import InputError
-from sfgs_jax.superfeats.detection import heat_map, local_maxima, refine, strongest
+from sfgs_jax.superfeats.detection import cut, heat_map, local_maxima, refine, strongest
 from sfgs_jax.superfeats.features import Features
 from sfgs_jax.superfeats.losses import unit
-from sfgs_jax.superfeats.network import CELL, STRIDE, Network, forward, normalise
+from sfgs_jax.superfeats.network import STRIDE, Network, branches, linear, normalise
 from sfgs_jax.superfeats.sampling import sample
 
 
@@ -58,20 +58,21 @@ def _extract(
     *,
     max_keypoints: int,
 ) -> Features:
-    grey = image.mean(-1) if image.ndim == 3 else image
+    # A sum of slices takes a quarter of the time of a mean over three neighbours.
+    grey = (image[..., 0] + image[..., 1] + image[..., 2]) / 3 if image.ndim == 3 else image
     height, width = grey.shape
     # The network wants whole cells at its coarsest level: beyond the image lies the image's mean.
     padding = [(0, -side % STRIDE) for side in grey.shape]
-    dense = forward(params, jnp.pad(normalise(grey[None])[0], padding)[None])
+    logits, cells = branches(params, jnp.pad(normalise(grey[None])[0], padding)[None])
 
-    heat = heat_map(dense.logits[0])[:height, :width]
-    reliability = jax.nn.sigmoid(dense.reliability[0])
-    everywhere = jnp.repeat(jnp.repeat(reliability, CELL, 0), CELL, 1)[:height, :width]
+    heat = cut(heat_map(logits[0]), height, width)
     chosen = local_maxima(heat) & (heat > min_heat)
-    scores, pixels = strongest(jnp.where(chosen, heat * everywhere, 0.0), count=max_keypoints)
+    reliability = jax.nn.sigmoid(linear(params.rely, cells[0])[..., 0])
+    scores, pixels = strongest(jnp.where(chosen, heat * reliability, 0.0), count=max_keypoints)
     valid = scores > 0
     keypoints = refine(heat, pixels)
-    descriptors = unit(sample(dense.descriptors[0], keypoints))
+    # The last layer is linear, and so the same before and after the interpolation, where it costs less.
+    descriptors = unit(linear(params.describe, sample(cells[0], keypoints)))
     return Features(
         keypoints=jnp.where(valid[:, None], keypoints, 0.0),
         scores=scores,

@@ -18,7 +18,6 @@ from sfgs_jax.superfeats.layers import (
     Layer,
     Noise,
     apply_folded,
-    convolve,
     initialise,
     initialise_linear,
 )
@@ -125,12 +124,27 @@ def normalise(images: Float[Array, "b h w"]) -> Float[Array, "b h w"]:
 
 
 def forward(network: Network, images: Float[Array, "b h w"], apply: Apply = apply_folded) -> DenseFeatures:
-    """Runs both branches.
+    """Runs both branches and their last, linear layers everywhere.
 
     Args:
         network: folded, unless `apply` is a `BatchStatistics`.
         images: normalised grey images whose sides are multiples of 32.
         apply: how hidden layers act.
+    """
+    logits, cells = branches(network, images, apply)
+    return DenseFeatures(
+        logits=logits,
+        descriptors=linear(network.describe, cells),
+        reliability=linear(network.rely, cells)[..., 0],
+    )
+
+
+def branches(
+    network: Network, images: Float[Array, "b h w"], apply: Apply = apply_folded
+) -> tuple[Float[Array, "b h//8 w//8 65"], Float[Array, "b h//8 w//8 64"]]:
+    """Logits of keypoints, and that of which `describe` and `rely` make descriptors and reliability.
+
+    Arguments are those of `forward`.
     """
     x = _space_to_depth(images[..., None], 4)
     outputs = []
@@ -146,15 +160,12 @@ def forward(network: Network, images: Float[Array, "b h w"], apply: Apply = appl
         cells = apply(layer, cells)
     narrow, look_around, widen = network.context
     cells = cells + apply(widen, apply(look_around, apply(narrow, cells)))
-    return DenseFeatures(
-        logits=_linear(network.detect, cells),
-        descriptors=_linear(network.describe, x8),
-        reliability=_linear(network.rely, x8)[..., 0],
-    )
+    return linear(network.detect, cells), x8
 
 
-def _linear(layer: Convolution, x: Float[Array, "b h w i"]) -> Float[Array, "b h w o"]:
-    return convolve(layer.weight, x) + layer.bias
+def linear(layer: Convolution, x: Float[Array, "*n i"]) -> Float[Array, "*n o"]:
+    """A 1x1 convolution, of a map or of single cells."""
+    return x @ layer.weight[0, 0] + layer.bias
 
 
 def _space_to_depth(x: Float[Array, "b h w c"], size: int) -> Float[Array, "b h2 w2 d"]:

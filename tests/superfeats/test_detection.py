@@ -2,12 +2,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.superfeats.detection import heat_map, local_maxima, refine, strongest
+from sfgs_jax.superfeats.detection import cut, heat_map, local_maxima, refine, strongest
 
 
-def test_the_heat_map_is_a_softmax_laid_out_by_cells(rng):
+def by_place(image: np.ndarray) -> jax.Array:
+    """(8 r, 8 c) pixels as (8, 8, r, c)."""
+    h, w = image.shape
+    return jnp.asarray(image.reshape(h // 8, 8, w // 8, 8).transpose(1, 3, 0, 2))
+
+
+def as_image(x: jax.Array) -> np.ndarray:
+    """The other way round."""
+    _, _, rows, columns = x.shape
+    return np.asarray(x).transpose(2, 0, 3, 1).reshape(8 * rows, 8 * columns)
+
+
+def test_the_heat_map_is_a_softmax_laid_out_by_places(rng):
     logits = rng.normal(size=(2, 3, 65)).astype(np.float32)
-    heat = np.asarray(heat_map(jnp.asarray(logits)))
+    heat = as_image(heat_map(jnp.asarray(logits)))
     expected = jax.nn.softmax(logits)
     for row in range(16):
         for column in range(24):
@@ -18,46 +30,64 @@ def test_the_heat_map_is_a_softmax_laid_out_by_cells(rng):
 def test_extreme_logits_stay_finite():
     logits = jnp.full((1, 1, 65), -1e4).at[0, 0, 3].set(1e4)
     heat = heat_map(logits)
-    assert float(heat[0, 3]) == 1.0
+    assert float(heat[0, 3, 0, 0]) == 1.0
     assert bool(jnp.isfinite(heat).all())
 
 
+def test_beyond_the_image_there_is_no_heat(rng):
+    image = rng.random((24, 32)).astype(np.float32)
+    for height, width in [(24, 32), (24, 25), (17, 32), (9, 3)]:
+        expected = np.zeros_like(image)
+        expected[:height, :width] = image[:height, :width]
+        np.testing.assert_array_equal(as_image(cut(by_place(image), height, width)), expected)
+
+
 def test_a_maximum_is_not_exceeded_within_two_pixels(rng):
-    heat = rng.random((20, 30)).astype(np.float32)
-    found = np.asarray(local_maxima(jnp.asarray(heat)))
+    heat = rng.random((24, 32)).astype(np.float32)
+    found = as_image(local_maxima(by_place(heat)))
     padded = np.pad(heat, 2)
     windows = np.lib.stride_tricks.sliding_window_view(padded, (5, 5)).max((2, 3))
     np.testing.assert_array_equal(found, heat >= windows)
 
 
 def test_the_strongest_come_first_and_gaps_are_filled():
-    scores = jnp.zeros((3, 4)).at[1, 2].set(0.5).at[2, 0].set(0.9)
-    found, pixels = strongest(scores, count=20)
-    assert found.shape == (20,)
-    np.testing.assert_allclose(found[:3], [0.9, 0.5, 0])
-    np.testing.assert_array_equal(pixels[:2], [[0, 2], [2, 1]])
+    scores = np.zeros((8, 16), np.float32)
+    scores[1, 2], scores[2, 9], scores[7, 15] = 0.5, 0.9, 0.7
+    found, pixels = strongest(by_place(scores), count=40)
+    assert found.shape == (40,)
+    np.testing.assert_allclose(found[:4], [0.9, 0.7, 0.5, 0])
+    np.testing.assert_array_equal(pixels[:3], [[9, 2], [15, 7], [2, 1]])
+
+
+def test_every_maximum_is_among_the_strongest(rng):
+    heat = rng.random((24, 32)).astype(np.float32)
+    scores = np.where(as_image(local_maxima(by_place(heat))), heat, 0)
+    found, pixels = strongest(by_place(scores), count=200)
+    u, v = np.asarray(pixels, int)[np.asarray(found) > 0].T
+    assert {*zip(v.tolist(), u.tolist(), strict=True)} == {*map(tuple, np.argwhere(scores).tolist())}
+    np.testing.assert_array_equal(found[: len(u)], scores[v, u])
 
 
 def test_a_peak_between_pixels_is_found_there():
-    v, u = np.mgrid[:15, :15]
+    v, u = np.mgrid[:16, :16]
     centre = np.array([7.3, 6.8])
     heat = np.exp(-((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / (2 * 0.6**2)).astype(np.float32)
-    refined = refine(jnp.asarray(heat), jnp.asarray([[7.0, 7.0]]))
+    refined = refine(by_place(heat), jnp.asarray([[7.0, 7.0]]))
     np.testing.assert_allclose(refined[0], centre, atol=0.05)
 
 
 def test_refining_stays_within_a_pixel_and_finite_at_borders_and_without_heat(rng):
-    pixels = jnp.asarray([[0.0, 0.0], [9.0, 0.0], [9.0, 7.0], [4.0, 4.0]])
-    for heat in (jnp.zeros((8, 10)), jnp.asarray(rng.random((8, 10)), jnp.float32)):
-        shift = refine(heat, pixels) - pixels
+    pixels = jnp.asarray([[0.0, 0.0], [15.0, 0.0], [15.0, 7.0], [4.0, 4.0]])
+    for heat in (np.zeros((8, 16), np.float32), rng.random((8, 16)).astype(np.float32)):
+        shift = refine(by_place(heat), pixels) - pixels
         assert float(jnp.abs(shift).max()) <= 1.0
 
 
 def test_the_refined_position_has_the_centroids_gradient():
-    heat = jnp.asarray(np.random.default_rng(1).random((5, 5)))
+    heat = by_place(np.random.default_rng(1).random((8, 8)).astype(np.float32))
     at = jnp.asarray([[2.0, 2.0]])
     gradient = np.asarray(jax.grad(lambda heat: refine(heat, at)[0, 0])(heat))
     step = 1e-3
     for row, column in [(2, 1), (2, 3), (1, 1), (3, 3), (0, 0)]:
-        moved = [refine(heat.at[row, column].add(sign * step), at)[0, 0] for sign in (1, -1)]
-        np.testing.assert_allclose(gradient[row, column], (moved[0] - moved[1]) / (2 * step), atol=1e-3)
+        moved = [refine(heat.at[row, column, 0, 0].add(sign * step), at)[0, 0] for sign in (1, -1)]
+        np.testing.assert_allclose(gradient[row, column, 0, 0], (moved[0] - moved[1]) / (2 * step), atol=1e-3)
