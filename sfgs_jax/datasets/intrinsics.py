@@ -70,8 +70,8 @@ class Intrinsics:
         """
         if any(self.distortion):
             raise InputError(
-                f"The intrinsics of {source} have lens distortion, which is taken out only where colour and depth "
-                "are registered already; undistort the images first (cv2.undistort)."
+                f"The intrinsics of {source} have lens distortion, which is taken out only where colour and "
+                "depth are registered already; undistort the images first (cv2.undistort)."
             )
         return self
 
@@ -123,6 +123,6 @@ def _distortion(value: object, path: Path) -> tuple[float, ...]:
     numbers = [x for x in coefficients if isinstance(x, int | float) and math.isfinite(x)]
     if value != [] and (len(numbers) != len(coefficients) or len(numbers) not in _DISTORTION_COUNTS):
         raise InputError(
-            f"{path}: distortion must be a list of 4, 5 or 8 numbers (k1, k2, p1, p2, k3, ...), not {value!r}."
+            f"{path}: distortion must be a list of 4, 5 or 8 numbers (k1, k2, p1, p2, ...), not {value!r}."
         )
     return tuple(float(x) for x in numbers)

@@ -31,6 +31,7 @@ class Undistortion:
     def __call__(
         self, rgb: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h2 w2"]
     ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+        """The pair without the lens."""
         if rgb.shape[:2] != self._shape or depth.shape != self._shape:
             # Whoever asked for the frame says that it is of another size.
             return rgb, depth

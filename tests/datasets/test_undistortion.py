@@ -28,7 +28,7 @@ def test_a_point_seen_through_the_lens_ends_where_a_pinhole_sees_it():
         expected = np.asarray(camera.project(jnp.asarray(point)))
         assert np.linalg.norm(seen - expected) > 1, "the lens must move this point"
         v, u = np.mgrid[:480, :640]
-        blob = np.exp(-((u - seen[0]) ** 2 + (v - seen[1]) ** 2) / 18).astype(np.float32)
+        blob = np.exp(-((u - seen[0]) ** 2 + (v - seen[1]) ** 2) / 4.5).astype(np.float32)
         rgb, depth = Undistortion(camera, LENS)(np.repeat(blob[..., None], 3, -1), blob)
         for image in (rgb[..., 0], depth):
             centre = [np.sum(image * u) / image.sum(), np.sum(image * v) / image.sum()]
@@ -43,7 +43,7 @@ def test_depth_is_never_mixed_across_an_edge():
 
 
 def write(folder, write_image, images, **entries):
-    for kind, image in zip(("rgb", "depth"), images(640, 480), strict=True):
+    for kind, image in zip(("rgb", "depth"), images, strict=True):
         (folder / kind).mkdir(parents=True)
         write_image(folder / kind / "0.png", image)
     camera = {"fx": 517.3, "fy": 516.5, "cx": 318.6, "cy": 255.3} | entries
@@ -52,6 +52,7 @@ def write(folder, write_image, images, **entries):
 
 
 def test_a_camera_file_may_hold_the_lens(tmp_path, write_image, images):
+    images = images(640, 480)
     plain = open_recording(write(tmp_path / "a", write_image, images))[0]
     pinhole = open_recording(write(tmp_path / "b", write_image, images, distortion=list(LENS)))[0]
     camera = Camera(517.3, 516.5, 318.6, 255.3, width=640, height=480)
@@ -64,7 +65,7 @@ def test_a_camera_file_may_hold_the_lens(tmp_path, write_image, images):
 
 @pytest.mark.parametrize("wrong", [[0.1, 0.2], "k1", [0.1, None, 0, 0], 0.3])
 def test_other_distortions_are_refused(tmp_path, write_image, images, wrong):
-    folder = write(tmp_path / "a", write_image, images, distortion=wrong)
+    folder = write(tmp_path / "a", write_image, images(640, 480), distortion=wrong)
     with pytest.raises(InputError, match="list of 4, 5 or 8 numbers"):
         open_recording(folder)
 
