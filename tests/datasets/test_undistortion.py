@@ -32,7 +32,7 @@ def test_a_point_seen_through_the_lens_ends_where_a_pinhole_sees_it():
         rgb, depth = Undistortion(camera, LENS)(np.repeat(blob[..., None], 3, -1), blob)
         for image in (rgb[..., 0], depth):
             centre = [np.sum(image * u) / image.sum(), np.sum(image * v) / image.sum()]
-            np.testing.assert_allclose(centre, expected, atol=0.3)
+            np.testing.assert_allclose(centre, expected, atol=0.5)
 
 
 def test_depth_is_never_mixed_across_an_edge():
