@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from sfgs_jax.gicp.config import GicpConfig
 from sfgs_jax.gicp.level import LevelProblem
 from sfgs_jax.gicp.locate import Located
-from sfgs_jax.gicp.normal_equations import normal_equations
+from sfgs_jax.gicp.normal_equations import hessian, moment_sums, squared_radius, total
 from sfgs_jax.gicp.residuals import weight_matrices
 from sfgs_jax.gicp.result import RegistrationResult
 from sfgs_jax.gicp.step import confidence, normal_distance
@@ -23,22 +23,31 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
     distance = normal_distance(source, pairs)
     inlier = pairs.found & (distance**2 < config.inlier_width**2 * pairs.variance)
     share = inlier.astype(distance.dtype)
-    count = jnp.sum(share)
-    fraction = count / jnp.maximum(jnp.sum(source.valid.astype(distance.dtype)), 1)
-    rmse = jnp.sqrt(jnp.sum(share * distance**2) / jnp.maximum(count, 1))
-
     residual = "point_to_point" if config.residual == "point_to_point" else "point_to_plane"
     along = weight_matrices(source.normals, pairs.normals, residual=residual, epsilon=config.epsilon)
-    residuals = source.points - pairs.points
     weights = confidence(source, pairs, problem.width, config) * share
-    hessian, _ = normal_equations(problem.moments, along * weights, residuals)
-    excess = jnp.sum(weights * distance**2) / jnp.maximum(jnp.sum(weights * pairs.variance), 1)
-    information = hessian / (problem.shared * jnp.maximum(excess, 0.01))
+    squares = distance**2
+    informing, fixing, inliers, *scalars = moment_sums(
+        problem.moments,
+        along * weights,
+        along * share,
+        share,
+        share * squares,
+        weights * squares,
+        weights * pairs.variance,
+        source.valid.astype(share.dtype),
+    )
+    count = total(inliers)
+    missed, weighed, expected, points = map(total, scalars)
+    fraction = count / jnp.maximum(points, 1)
+    rmse = jnp.sqrt(missed / jnp.maximum(count, 1))
+    excess = weighed / jnp.maximum(expected, 1)
+    information = hessian(informing) / (problem.shared * jnp.maximum(excess, 0.01))
 
-    geometry, _ = normal_equations(problem.moments, along * share, residuals)
-    spread = jnp.sqrt(jnp.sum(share * source.points**2) / jnp.maximum(count, 1))
+    spread = jnp.sqrt(squared_radius(inliers, least=1.0))
     unit = jnp.where(jnp.arange(6) < 3, 1, 1 / jnp.maximum(spread, 1e-3))
-    values, vectors = jnp.linalg.eigh(geometry * unit[:, None] * unit[None, :] / jnp.maximum(count, 1))
+    geometry = hessian(fixing) * unit[:, None] * unit[None, :] / jnp.maximum(count, 1)
+    values, vectors = jnp.linalg.eigh(geometry)
     converged = found.settled & (count >= config.min_inliers) & (fraction >= config.min_inlier_fraction)
     return RegistrationResult(
         T,

@@ -29,30 +29,56 @@ def point_moments(points: Float[Array, "3 N"]) -> Float[Array, "10 N"]:
     return jnp.stack([homogeneous[i] * homogeneous[j] for i, j in zip(*_PAIRS, strict=True)])
 
 
-def normal_equations(
-    moments: Float[Array, "10 N"], weights: Float[Array, "6 N"], residuals: Float[Array, "3 N"]
-) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
-    """Hessian J^T W J and gradient J^T W r of half the sum of r^T W r over points.
+def moment_sums(
+    moments: Float[Array, "10 N"], *weights: Float[Array, "... N"]
+) -> list[Float[Array, "... 10"]]:
+    """Sums over the points of their moments times weights, for several kinds of weights at once.
 
-    The residual of a point is r = exp(delta) p - q in source coordinates, so J = [I, -[p]x] is linear in
-    (p, 1) and every sum is of a weight times a product of two coordinates: one matrix product.
+    One matrix product makes everything that a step needs: XLA adds up a row by itself one number at a time.
 
     Args:
-        moments: `point_moments` of the source points p.
-        weights: symmetric 3 x 3 weights, xx xy xz yy yz zz; 0 leaves a point out.
-        residuals: p - q, metres.
+        moments: `point_moments` of the source points.
+        weights: rows of them, each (K, N) or (N,).
     """
-    pulls = [sum(weights[SQUARE[a, b]] * residuals[b] for b in range(3)) for a in range(3)]
-    sums = jnp.concatenate([weights, jnp.stack(pulls)]) @ moments.T
-    first = sums[6:][:, _PAIR_INDEX[:, 3]]
-    gradient = jnp.einsum("amk,ak->m", jnp.asarray(_JACOBIAN, moments.dtype), first)
-    return _hessian(sums[SQUARE]), gradient
+    rows = [jnp.atleast_2d(w) for w in weights]
+    ends = np.cumsum([len(r) for r in rows])[:-1]
+    sums = jnp.split(jnp.concatenate(rows) @ moments.T, ends)
+    return [s if w.ndim == 2 else s[0] for s, w in zip(sums, weights, strict=True)]
 
 
-def isotropic_hessian(moments: Float[Array, "10 N"], weights: Float[Array, " N"]) -> Float[Array, "6 6"]:
-    """Hessian where all directions of a point's residual weigh alike."""
-    sums = weights @ moments.T
-    return _hessian(jnp.eye(3, dtype=moments.dtype)[:, :, None] * sums)
+def pulls(weights: Float[Array, "6 N"], residuals: Float[Array, "3 N"]) -> Float[Array, "3 N"]:
+    """W r of every point, with W symmetric, xx xy xz yy yz zz."""
+    return jnp.stack([sum(weights[SQUARE[a, b]] * residuals[b] for b in range(3)) for a in range(3)])
+
+
+def hessian(sums: Float[Array, "6 10"]) -> Float[Array, "6 6"]:
+    """J^T W J, from the `moment_sums` of W.
+
+    The residual of a point is r = exp(delta) p - q in source coordinates, so J = [I, -[p]x] is linear in
+    (p, 1), and the sum over points is one of weights times products of two coordinates.
+    """
+    return _hessian(sums[SQUARE])
+
+
+def gradient(sums: Float[Array, "3 10"]) -> Float[Array, "6"]:
+    """J^T W r, from the `moment_sums` of W r."""
+    first = sums[:, _PAIR_INDEX[:, 3]]
+    return jnp.einsum("amk,ak->m", jnp.asarray(_JACOBIAN, sums.dtype), first)
+
+
+def isotropic_hessian(sums: Float[Array, "10"]) -> Float[Array, "6 6"]:
+    """J^T J times a weight that is the same in all directions, from that weight's `moment_sums`."""
+    return _hessian(jnp.eye(3, dtype=sums.dtype)[:, :, None] * sums)
+
+
+def total(sums: Float[Array, "10"]) -> Float[Array, ""]:
+    """Sum of a weight itself, from its `moment_sums`."""
+    return sums[_PAIR_INDEX[3, 3]]
+
+
+def squared_radius(sums: Float[Array, "10"], least: float) -> Float[Array, ""]:
+    """Weighted mean of the points' squared distances from the origin; `least` bounds the total weight."""
+    return jnp.sum(sums[np.diagonal(_PAIR_INDEX)[:3]]) / jnp.maximum(total(sums), least)
 
 
 def _hessian(sums: Float[Array, "3 3 10"]) -> Float[Array, "6 6"]:

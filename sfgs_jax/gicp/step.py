@@ -10,7 +10,15 @@ from jaxtyping import Array, Float
 from sfgs_jax.geometry import kernel_rho, kernel_weight
 from sfgs_jax.gicp.config import GicpConfig
 from sfgs_jax.gicp.correspondences import Correspondences, Samples, dot
-from sfgs_jax.gicp.normal_equations import isotropic_hessian, normal_equations
+from sfgs_jax.gicp.normal_equations import (
+    gradient,
+    hessian,
+    isotropic_hessian,
+    moment_sums,
+    pulls,
+    squared_radius,
+    total,
+)
 from sfgs_jax.gicp.prior import MotionPrior, prior_equations
 from sfgs_jax.gicp.residuals import shape_weights, weight_matrices
 
@@ -73,13 +81,15 @@ def equations(
 
     `shared` is how many source points share one measurement, which the prior is weighed up by.
     """
-    weights = confidence(source, pairs, width, config)
-    residuals = source.points - pairs.points
-    hessian, gradient = normal_equations(moments, directions(source, pairs, config) * weights, residuals)
-    fixing = hessian
+    confident = confidence(source, pairs, width, config)
+    weights = directions(source, pairs, config) * confident
+    sums, pulled, isotropic = moment_sums(
+        moments, weights, pulls(weights, source.points - pairs.points), confident
+    )
+    fixing = full = hessian(sums)
     if config.residual == "gicp":
         # What GICP weighs all directions by only keeps correspondences together: it fixes no motion.
-        fixing = hessian - config.epsilon * isotropic_hessian(moments, weights)
+        fixing = full - config.epsilon * isotropic_hessian(isotropic)
 
     square = jnp.where(pairs.found, normal_distance(source, pairs) ** 2 / pairs.variance, 0)
     lost = jnp.full_like(square[:1], (config.inlier_width * width) ** 2)
@@ -90,12 +100,12 @@ def equations(
     if prior is not None:
         prior_hessian, prior_gradient, prior_cost = prior_equations(prior, T)
         held, cost = (shared * prior_hessian, shared * prior_gradient), cost + prior_cost
-    return Equations(hessian, gradient, fixing, held, _units(source, weights), jnp.sum(weights), cost)
+    return Equations(full, gradient(pulled), fixing, held, _units(isotropic), total(isotropic), cost)
 
 
-def _units(source: Samples, weights: Float[Array, " N"]) -> Float[Array, "6"]:
+def _units(sums: Float[Array, "10"]) -> Float[Array, "6"]:
     """Steps of about equal effect: a metre, and the rotation that moves points at the mean radius by one."""
-    square = jnp.sum(weights * dot(source.points, source.points)) / jnp.maximum(jnp.sum(weights), 1e-6)
+    square = squared_radius(sums, least=1e-6)
     return jnp.where(jnp.arange(6) < 3, 1, lax.rsqrt(jnp.maximum(square, 1e-6)))
 
 

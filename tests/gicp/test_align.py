@@ -14,7 +14,9 @@ from sfgs_jax.gicp.correspondences import associate, samples_of, target_of
 from tests.gicp.scenes import WALL, cast, motion_error
 
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
-CONFIG = GicpConfig(noise=0.001, noise_per_square_metre=0.0)
+# Images a quarter as wide have points to spare at the finest level alone. Steps go on until they are shorter
+# than the errors that the noise makes: those are compared with what the result predicts.
+CONFIG = GicpConfig(noise=0.001, noise_per_square_metre=0.0, strides=(2, 1, 1, 1), tolerance=1e-5)
 MOTION = np.asarray(se3.matrix(se3.exp(jnp.asarray([0.03, -0.02, 0.04, 0.02, -0.03, 0.015]))), np.float64)
 
 
@@ -127,8 +129,10 @@ def test_the_information_matrix_predicts_the_spread_of_estimates(corner):
         errors.append(np.asarray(error, np.float64))
         predicted.append(np.diag(np.linalg.inv(np.asarray(result.information, np.float64))))
     ratio = np.std(errors, axis=0) / np.sqrt(np.mean(predicted, axis=0))
-    assert np.all(ratio > 0.3)
-    assert np.all(ratio < 2.0)
+    # All points of a window count as one measurement, (5 / 2)² of them here; noise that differs from pixel
+    # to pixel averages out over them instead.
+    assert np.all(ratio > 0.2)
+    assert np.all(ratio < 1.0)
 
 
 def test_a_bare_wall_leaves_motion_along_it_free_and_says_so():
