@@ -1,5 +1,6 @@
 """Factor graphs: poses and landmarks from measurements of all kinds at once."""
 
+from sfgs_jax.factor_graph.capacities import Capacities as Capacities
 from sfgs_jax.factor_graph.config import SolverConfig as SolverConfig
 from sfgs_jax.factor_graph.consistency import consistent_loops as consistent_loops
 from sfgs_jax.factor_graph.consistency import within_threshold as within_threshold
@@ -23,5 +24,4 @@ from sfgs_jax.factor_graph.pose_factors import RelativePose as RelativePose
 from sfgs_jax.factor_graph.solution import Solution as Solution
 from sfgs_jax.factor_graph.solution import Statistics as Statistics
 from sfgs_jax.factor_graph.solution import Status as Status
-from sfgs_jax.factor_graph.structure import Capacities as Capacities
 from sfgs_jax.factor_graph.values import Values as Values

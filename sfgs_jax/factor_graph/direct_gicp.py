@@ -1,6 +1,6 @@
 """Point-to-distribution residuals of pairs of frames, minimised together with everything else."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,7 @@ class DirectGicp(Factor):
         matrices: (N, 3, 3) weights in frame a, 1 / m².
     """
 
+    relative: ClassVar[bool] = True
     pairs: Int[Array | np.ndarray, "M 2"]
     pair: Int[Array | np.ndarray, " N"]
     source: Float[Array, "N 3"]

@@ -1,7 +1,7 @@
 """What every block of factors is: rows of one kind, a mask, a kernel, and their normal equations."""
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -64,8 +64,10 @@ class Factor(eqx.Module):
         valid: (N,) which rows count.
         kernel: robust kernel of the whole row; static.
         kernel_width: its width in standard deviations.
+        relative: whether the residuals stay the same when all poses move as one rigid body.
     """
 
+    relative: ClassVar[bool] = False
     poses: Int[Array | np.ndarray, "N k"]
     landmarks: Int[Array | np.ndarray, " N"] | None
     valid: Bool[Array | np.ndarray, " N"]

@@ -5,11 +5,13 @@ from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
+from sfgs_jax.factor_graph.anchor import find_anchor
+from sfgs_jax.factor_graph.capacities import Capacities
 from sfgs_jax.factor_graph.factor import Factor
 from sfgs_jax.factor_graph.nested_dissection import EliminationPlan, plan_elimination
-from sfgs_jax.factor_graph.structure import ALL_PAIRS, Capacities, Structure, lay_out
+from sfgs_jax.factor_graph.structure import ALL_PAIRS, Structure, lay_out
 from sfgs_jax.geometry import InputError
 
 LinearSolver = Literal["dense", "sparse", "pcg"]
@@ -26,6 +28,7 @@ class FactorGraph(eqx.Module):
         factors: blocks, one per type.
         free_poses: (P,) poses to solve for; the others are fixed, or padding.
         free_landmarks: (L,) landmarks to solve for.
+        anchor: the pose that holds the others in place, if nothing else does, else None: see `find_anchor`.
         structure: where each factor's blocks go.
         plan: order of elimination of the sparse solver, else None.
         linear_solver: how the reduced normal equations are solved; static.
@@ -34,6 +37,7 @@ class FactorGraph(eqx.Module):
     factors: tuple[Factor, ...]
     free_poses: Bool[Array | np.ndarray, " P"]
     free_landmarks: Bool[Array | np.ndarray, " L"]
+    anchor: Int[Array | np.ndarray, ""] | None
     structure: Structure
     plan: EliminationPlan | None
     linear_solver: LinearSolver = eqx.field(static=True)
@@ -71,15 +75,16 @@ class FactorGraph(eqx.Module):
             raise InputError("A factor graph needs at least one pose.")
         for factor in self.factors:
             _check(factor, num_poses, num_landmarks)
-        self.structure = lay_out(self.factors, num_poses, num_landmarks, capacities or Capacities())
+        self.anchor = find_anchor(self.factors, self.free_poses)
+        capacities = capacities or Capacities()
+        self.structure = lay_out(self.factors, num_poses, num_landmarks, capacities)
         if linear_solver == "auto":
             linear_solver = "dense" if num_poses <= ALL_PAIRS else "sparse"
         self.linear_solver = linear_solver
         self.plan = None
         if linear_solver == "sparse":
-            self.plan = plan_elimination(
-                np.asarray(self.structure.rows), np.asarray(self.structure.columns), num_poses
-            )
+            rows, columns = np.asarray(self.structure.rows), np.asarray(self.structure.columns)
+            self.plan = plan_elimination(rows, columns, num_poses, capacities.levels)
 
     @property
     def num_poses(self) -> int:
@@ -95,7 +100,8 @@ class FactorGraph(eqx.Module):
     def capacities(self) -> Capacities:
         """Sizes to pass on to the next graph."""
         clusters, width = self.structure.cluster_poses.shape
-        return Capacities(self.structure.rows.shape[0], clusters, width)
+        levels = () if self.plan is None else self.plan.sizes
+        return Capacities(self.structure.rows.shape[0], clusters, width, levels)
 
 
 def _mask(given: Any, count: int, name: str) -> np.ndarray:

@@ -5,7 +5,7 @@ halves come first in the elimination, so all nodes at one depth of the resulting
 other and are factorised as one batch of dense matrices.
 
 Source: George and Liu, An automatic nested dissection algorithm for irregular finite element problems (1978),
-for separators from breadth-first levels; Duff and Reid, The multifrontal solution of indefinite sparse
+for separators from breadth-first distances; Duff and Reid, The multifrontal solution of indefinite sparse
 symmetric linear systems (1983), for the fronts.
 """
 
@@ -15,16 +15,28 @@ import equinox as eqx
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Array, Bool, Int
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from sfgs_jax.factor_graph.capacities import LevelSize, capacity_for
 
 LEAF_POSES = 12
-"""A part of so few poses is eliminated at once."""
+"""A part of at most so many poses is eliminated at once; leaves that go to the greatest depth have up to
+twice as many."""
+
+LEAST_SHARE = 0.4
+"""Share of the poses that either side of a cut has at least."""
+
+CUTS = 9
+"""Cuts tried between these shares."""
+
+IMBALANCE = 0.05
+"""How many poses more a separator may have for each pose by which it makes its parts more alike."""
 
 _Indices = Int[Array | np.ndarray, "..."]
 
 
 class Level(eqx.Module):
-    """Nodes at one depth of the tree, padded to the same number of own and boundary poses.
+    """Nodes at one depth of the tree, two to the power of that depth, padded to the same numbers of poses.
 
     Attributes:
         own: (n, o) poses a node eliminates; P where unused.
@@ -55,6 +67,11 @@ class EliminationPlan(eqx.Module):
     levels: tuple[Level, ...]
     transposed: Bool[Array | np.ndarray, " B"]
 
+    @property
+    def sizes(self) -> tuple[LevelSize, ...]:
+        """Of the levels, to pass on to the next plan."""
+        return tuple((v.own.shape[1], v.boundary.shape[1], v.sources.shape[0]) for v in self.levels)
+
 
 @dataclass
 class _Node:
@@ -66,14 +83,18 @@ class _Node:
 
 
 def plan_elimination(
-    rows: Int[np.ndarray, " B"], columns: Int[np.ndarray, " B"], num_poses: int
+    rows: Int[np.ndarray, " B"],
+    columns: Int[np.ndarray, " B"],
+    num_poses: int,
+    given: tuple[LevelSize, ...] = (),
 ) -> EliminationPlan:
-    """Plan for a symmetric pattern of blocks.
+    """Plan for a symmetric pattern of blocks. The depth of its tree is given by the number of poses alone.
 
     Args:
         rows: first pose of each block off the diagonal; `num_poses` where unused.
         columns: second pose.
         num_poses: P.
+        given: sizes of the levels to keep to while they suffice.
     """
     used = rows < num_poses
     a, b = rows[used].astype(np.int64), columns[used].astype(np.int64)
@@ -81,9 +102,9 @@ def plan_elimination(
     adjacency = sparse.csr_array(
         (ones, (np.concatenate([a, b]), np.concatenate([b, a]))), (num_poses, num_poses)
     )
-    root = _dissect(adjacency, np.arange(num_poses), 0)
-    depths: list[list[_Node]] = []
-    _collect(root, depths)
+    deepest = max(0, (num_poses // LEAF_POSES).bit_length() - 1)
+    depths: list[list[_Node]] = [[] for _ in range(deepest + 1)]
+    _collect(_dissect(adjacency, np.arange(num_poses), 0, deepest), depths)
     order = np.zeros(num_poses + 1, np.int64)
     order[num_poses] = num_poses
     owner = np.zeros(num_poses, np.int64)
@@ -102,45 +123,60 @@ def plan_elimination(
             above = around[order[around] > last] if len(node.own) else around
             node.boundary = above[np.argsort(order[above])]
     transposed = order[columns] > order[rows]
-    return EliminationPlan(_levels(depths, order, owner, rows, columns, num_poses), transposed)
+    return EliminationPlan(_levels(depths, order, owner, rows, columns, num_poses, given), transposed)
 
 
-def _dissect(adjacency: sparse.csr_array, poses: np.ndarray, depth: int) -> _Node:
-    if len(poses) <= LEAF_POSES:
+def _dissect(adjacency: sparse.csr_array, poses: np.ndarray, depth: int, deepest: int) -> _Node:
+    if depth == deepest or len(poses) <= LEAF_POSES:
         return _Node(poses, depth)
-    within = adjacency[poses][:, poses]
-    distance = _levels_from_afar(within)
-    counts = np.bincount(distance)
-    before = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    after = len(poses) - before - counts
-    balanced = np.minimum(before, after) >= 0.25 * len(poses)
-    if not balanced.any():
-        balanced = np.minimum(before, after) == np.minimum(before, after).max()
-    if np.minimum(before, after).max() == 0:
+    separator, parts = _split(adjacency[poses][:, poses])
+    if not all(part.any() for part in parts):
         return _Node(poses, depth)  # everything neighbours everything: nothing to split
-    cut = int(np.flatnonzero(balanced)[np.argmin(counts[balanced])])
-    beyond = (distance == cut + 1).astype(np.int8)
-    separator = (distance == cut) & ((within @ beyond) > 0)
-    first, second = (distance <= cut) & ~separator, distance > cut
     node = _Node(poses[separator], depth)
-    node.children = [_dissect(adjacency, poses[part], depth + 1) for part in (first, second)]
+    node.children = [_dissect(adjacency, poses[part], depth + 1, deepest) for part in parts]
     return node
 
 
-def _levels_from_afar(adjacency: sparse.csr_array) -> np.ndarray:
-    """Breadth-first level of each vertex, from one at the far end; what can't be reached comes after."""
-    distance = np.zeros(len(adjacency.indptr) - 1)
+def _split(adjacency: sparse.csr_array) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Masks of a small separator and of the two parts it leaves, of about the same size.
+
+    Balanced parts keep the tree shallow and the fronts at one depth alike, so that little is padded.
+    """
+    count = len(adjacency.indptr) - 1
+    rank = np.argsort(np.argsort(_from_end_to_end(adjacency), kind="stable"), kind="stable")
+    best, least = (np.zeros(count, bool), [np.zeros(count, bool)] * 2), np.inf
+    for size in np.unique(np.linspace(LEAST_SHARE * count, (1 - LEAST_SHARE) * count, CUTS).astype(int)):
+        first = rank < size
+        for side in (first, ~first):
+            separator = side & ((adjacency @ (~side).astype(np.int8)) > 0)
+            parts = [first & ~separator, ~first & ~separator]
+            badness = separator.sum() + IMBALANCE * abs(int(parts[0].sum()) - int(parts[1].sum()))
+            if badness < least:
+                best, least = (separator, parts), badness
+    return best
+
+
+def _from_end_to_end(adjacency: sparse.csr_array) -> np.ndarray:
+    """A number for each vertex that grows from one end of the graph to the other, in many small steps.
+
+    The difference of the distances from both ends: where it is constant lies about straight across the graph,
+    while vertices at one distance from a single end lie along an arc. If the graph is in pieces, the others
+    come before and after the largest, so that a cut in the middle is one through the middle of that.
+    """
+    _, piece = connected_components(adjacency, directed=False)
+    sizes = np.bincount(piece)
+    largest = piece == np.argmax(sizes)
+    distances = [np.where(largest, 0, -1.0)]
     for _ in range(3):
-        start = int(np.argmax(np.where(np.isfinite(distance), distance, -1)))
-        distance = dijkstra(adjacency, directed=False, indices=start, unweighted=True)
-    # The empty level between keeps the parts apart.
-    reached = np.isfinite(distance)
-    return np.where(reached, distance, distance[reached].max() + 2).astype(np.int64)
+        start = int(np.argmax(distances[-1]))
+        reached = dijkstra(adjacency, directed=False, indices=start, unweighted=True)
+        distances.append(np.where(largest, reached, -1.0))
+    by_size = np.argsort(np.argsort(sizes, kind="stable"), kind="stable")[piece]
+    aside = len(piece) + by_size
+    return np.where(largest, distances[-2] - distances[-1], np.where(by_size % 2 == 0, aside, -aside))
 
 
 def _collect(node: _Node, depths: list[list[_Node]]) -> None:
-    while len(depths) <= node.depth:
-        depths.append([])
     depths[node.depth].append(node)
     for child in node.children:
         _collect(child, depths)
@@ -153,13 +189,21 @@ def _levels(
     rows: np.ndarray,
     columns: np.ndarray,
     num_poses: int,
+    given: tuple[LevelSize, ...],
 ) -> tuple[Level, ...]:
     depth_of = np.zeros(num_poses + 1, np.int64)
     for depth, nodes in enumerate(depths):
         for node in nodes:
             depth_of[node.own] = depth
-    owns = [max(1, max(len(n.own) for n in nodes)) for nodes in depths]
-    bounds = [max(len(n.boundary) for n in nodes) for nodes in depths]
+    known = given[::-1] if len(given) == len(depths) else ((0, 0, 0),) * len(depths)
+    owns = [
+        max(1, capacity_for(max((len(n.own) for n in nodes), default=0), size[0]))
+        for nodes, size in zip(depths, known, strict=True)
+    ]
+    bounds = [
+        capacity_for(max((len(n.boundary) for n in nodes), default=0), size[1])
+        for nodes, size in zip(depths, known, strict=True)
+    ]
     used = rows < num_poses
     first = np.where(order[rows] < order[columns], rows, columns)
     second = np.where(order[rows] < order[columns], columns, rows)
@@ -168,13 +212,14 @@ def _levels(
     levels = []
     for depth in reversed(range(len(depths))):
         nodes, o, b = depths[depth], owns[depth], bounds[depth]
-        own = np.full((len(nodes), o), num_poses, np.int32)
-        boundary = np.full((len(nodes), b), num_poses, np.int32)
-        parent = np.zeros(len(nodes), np.int32)
+        count = 2**depth
+        own = np.full((count, o), num_poses, np.int32)
+        boundary = np.full((count, b), num_poses, np.int32)
+        parent = np.zeros(count, np.int32)
         above = owns[depth - 1] + bounds[depth - 1] if depth else 0
-        positions = np.full((len(nodes), b), above, np.int32)
+        positions = np.full((count, b), above, np.int32)
         # Position of a pose in each front: found in a table per node, for all its blocks at once.
-        place = np.zeros((len(nodes), num_poses), np.int32)
+        place = np.zeros((count, num_poses), np.int32)
         for i, node in enumerate(nodes):
             own[i, : len(node.own)] = node.own
             boundary[i, : len(node.boundary)] = node.boundary
@@ -198,6 +243,9 @@ def _levels(
             ]
         )
         sources = np.concatenate([poses, slots[here]])
+        unused = capacity_for(len(sources), known[depth][2]) - len(sources)
+        sources = np.append(sources, np.full(unused, num_poses + len(rows)))
+        places = np.append(places, np.full(unused, count * (o + b) * o))
         levels.append(
             Level(own, boundary, sources.astype(np.int32), places.astype(np.int32), parent, positions)
         )

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.factor_graph.anchor import move_back
 from sfgs_jax.factor_graph.config import SolverConfig
 from sfgs_jax.factor_graph.graph import FactorGraph
 from sfgs_jax.factor_graph.linear_solvers import prepare_solve
@@ -16,6 +17,12 @@ from sfgs_jax.factor_graph.normal_equations import NormalEquations, landmark_ste
 from sfgs_jax.factor_graph.solution import Solution, Statistics, Status
 from sfgs_jax.factor_graph.values import Values, retract
 from sfgs_jax.geometry import InputError
+
+LONG_ENOUGH = 0.8
+"""A shorter step is tried too where the cost seems to be lowest at a smaller share of the step."""
+
+LEAST_STEP = 0.1
+"""Least share of the step to try."""
 
 _RUNNING = -1
 _T = TypeVar("_T")
@@ -34,6 +41,13 @@ class _State(eqx.Module):
     statistics: Statistics
 
 
+class _Trial(eqx.Module):
+    values: Values
+    losses: Losses
+    drop: Float[Array, ""]
+    gain: Float[Array, ""]
+
+
 class Step(eqx.Module):
     """A step and what the linear model says of it.
 
@@ -41,6 +55,7 @@ class Step(eqx.Module):
         poses: (P, 6) tangents.
         landmarks: (L, 3) metres.
         expected: drop of the cost in the linear model.
+        slope: drop of the cost per share of the step, at its beginning.
         finite: whether the system could be solved.
         deficient: whether a landmark's block had no unique solution.
     """
@@ -48,6 +63,7 @@ class Step(eqx.Module):
     poses: Float[Array, "P 6"]
     landmarks: Float[Array, "L 3"]
     expected: Float[Array, ""]
+    slope: Float[Array, ""]
     finite: Bool[Array, ""]
     deficient: Bool[Array, ""]
 
@@ -104,16 +120,26 @@ def compute_step(
     # With (H + damping D) step = -g the model drops by (damping step D step - g step) / 2.
     s = graph.structure
     diagonal = jnp.diagonal(equations.diagonal, axis1=1, axis2=2)
-    expected = jnp.sum(poses * (damping * diagonal * poses - equations.gradient))
+    resisted = jnp.sum(damping * diagonal * poses**2)
+    slope = -jnp.sum(poses * equations.gradient)
     point_diagonal = jnp.diagonal(equations.landmark_hessian, axis1=2, axis2=3)
     padded = jnp.concatenate([landmarks, jnp.zeros((1, 3), landmarks.dtype)])
     points = padded[jnp.asarray(s.cluster_landmarks)]
-    expected += jnp.sum(points * (damping * point_diagonal * points - equations.landmark_gradient))
-    return Step(poses, landmarks, expected / 2, finite, deficient)
+    resisted += jnp.sum(damping * point_diagonal * points**2)
+    slope -= jnp.sum(points * equations.landmark_gradient)
+    return Step(poses, landmarks, (resisted + slope) / 2, slope, finite, deficient)
 
 
 @partial(jax.jit, static_argnames="config")
 def _solve(graph: FactorGraph, values: Values, config: SolverConfig) -> Solution:
+    if graph.anchor is not None and config.method == "levenberg_marquardt":
+        free = jnp.asarray(graph.free_poses)
+        afloat = eqx.tree_at(
+            lambda g: (g.free_poses, g.anchor), graph, (free.at[graph.anchor].set(True), None)
+        )
+        solution = _solve(afloat, values, config)
+        back = move_back(solution.values, values, graph.anchor, free)
+        return eqx.tree_at(lambda s: s.values, solution, back)
     dtype = values.poses.wxyz_xyz.dtype
     losses = all_losses(graph, values)
     start = jnp.isfinite(_cost(losses, values))
@@ -154,11 +180,19 @@ def _iterate(graph: FactorGraph, config: SolverConfig, state: _State) -> _State:
     marquardt = config.method == "levenberg_marquardt"
     equations = linearise(graph, state.values)
     step = compute_step(graph, equations, state.damping, config)
-    moved = retract(state.values, step.poses, step.landmarks)
-    losses = all_losses(graph, moved)
-    current, drop = _cost(state.losses, moved), _drop(state.losses, losses, moved)
+    current = _cost(state.losses, state.values)
+    one = jnp.ones((), current.dtype)
+    trial = _try(graph, state, step, one)
+    if marquardt:
+        # Where the cost curves more than its model does, the step leads too far.
+        share = _lowest(step, trial.drop)
+        trial = lax.cond(
+            share < LONG_ENOUGH,
+            lambda: _better(trial, _try(graph, state, step, share)),
+            lambda: trial,
+        )
+    moved, losses, drop, gain = trial.values, trial.losses, trial.drop, trial.gain
     finite = step.finite & jnp.isfinite(drop)
-    gain = drop / jnp.where(step.expected > 0, step.expected, 1)
     small = step.expected <= config.cost_tolerance * current
     largest = jnp.maximum(
         jnp.max(jnp.abs(step.poses)), jnp.max(jnp.abs(step.landmarks), initial=jnp.zeros((), current.dtype))
@@ -192,6 +226,25 @@ def _iterate(graph: FactorGraph, config: SolverConfig, state: _State) -> _State:
     )
     values, losses = _select(accepted, (moved, losses), (state.values, state.losses))
     return _State(values, losses, damping, growth, i + 1, status, undetermined, statistics)
+
+
+def _try(graph: FactorGraph, state: _State, step: Step, share: Float[Array, ""]) -> _Trial:
+    values = retract(state.values, share * step.poses, share * step.landmarks)
+    losses = all_losses(graph, values)
+    drop = _drop(state.losses, losses, values)
+    expected = share * step.slope - share**2 * (step.slope - step.expected)
+    return _Trial(values, losses, drop, drop / jnp.where(expected > 0, expected, 1))
+
+
+def _lowest(step: Step, drop: Float[Array, ""]) -> Float[Array, ""]:
+    """Share of the step at which a parabola through the cost at both ends, with its slope, is lowest."""
+    beyond = step.slope - drop
+    share = step.slope / (2 * jnp.where(beyond > 0, beyond, jnp.inf))
+    return lax.stop_gradient(jnp.where(beyond > 0, jnp.clip(share, LEAST_STEP, 1), 1))
+
+
+def _better(a: _Trial, b: _Trial) -> _Trial:
+    return _select(b.drop > a.drop, b, a)
 
 
 def _select(condition: Bool[Array, ""], a: _T, b: _T) -> _T:

@@ -1,6 +1,6 @@
 """Factors between poses: priors and relative motions."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import jaxlie
@@ -81,6 +81,7 @@ class RelativePose(Factor):
         matrices: (N, 6, 6) information of the residual's tangent.
     """
 
+    relative: ClassVar[bool] = True
     T_a_b: jaxlie.SE3
     matrices: Float[Array, "N 6 6"]
 

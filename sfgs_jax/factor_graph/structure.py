@@ -7,12 +7,12 @@ product of a (3 landmarks) x (6 poses) matrix with itself.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Int
 
+from sfgs_jax.factor_graph.capacities import Capacities, capacity_for
 from sfgs_jax.factor_graph.factor import Factor
 
 CLUSTER_LANDMARKS = 32
@@ -25,20 +25,6 @@ ALL_PAIRS = 128
 """Graphs of up to so many poses keep a slot for every pair, so that no new factor needs another one."""
 
 _Indices = Int[Array | np.ndarray, "..."]
-
-
-@dataclass(frozen=True)
-class Capacities:
-    """Sizes of the arrays that a structure is padded to; pass a graph's on to the next that grows from it."""
-
-    blocks: int = 0
-    """Blocks off the diagonal."""
-
-    clusters: int = 0
-    """Clusters of landmarks."""
-
-    cluster_poses: int = 0
-    """Poses of a cluster."""
 
 
 class Structure(eqx.Module):
@@ -65,16 +51,6 @@ class Structure(eqx.Module):
     cluster_poses: _Indices
     cluster_slots: _Indices
     cluster_landmarks: _Indices
-
-
-def capacity_for(count: int, given: int) -> int:
-    """What is given if that is enough, else doubled until it is; with nothing given, an eighth of room."""
-    if given == 0:
-        step = max(1, 2 ** (max(count, 1).bit_length() - 4))
-        return -(-count // step) * step
-    while given < count:
-        given *= 2
-    return given
 
 
 def lay_out(factors: Sequence[Factor], num_poses: int, num_landmarks: int, given: Capacities) -> Structure:

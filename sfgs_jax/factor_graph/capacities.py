@@ -1,0 +1,33 @@
+"""Sizes that arrays are padded to, so that a graph that grows runs the program already compiled."""
+
+from dataclasses import dataclass
+
+LevelSize = tuple[int, int, int]
+"""Own and boundary poses of each node of a level of elimination, and blocks that enter there."""
+
+
+@dataclass(frozen=True)
+class Capacities:
+    """Sizes of the arrays that a structure is padded to; pass a graph's on to the next that grows from it."""
+
+    blocks: int = 0
+    """Blocks off the diagonal."""
+
+    clusters: int = 0
+    """Clusters of landmarks."""
+
+    cluster_poses: int = 0
+    """Poses of a cluster."""
+
+    levels: tuple[LevelSize, ...] = ()
+    """Sizes of the levels of the sparse solver's plan."""
+
+
+def capacity_for(count: int, given: int) -> int:
+    """What is given if that is enough, else doubled until it is; with nothing given, an eighth of room."""
+    if given == 0:
+        step = max(1, 2 ** (max(count, 1).bit_length() - 4))
+        return -(-count // step) * step
+    while given < count:
+        given *= 2
+    return given
