@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import jax
 import numpy as np
 
-from experiments.extractors import NAMES, Extractor
+from experiments.extractors import Extractor
 from experiments.warped_photos import WarpedPhoto
 from sfgs_jax.evaluation import (
     accuracy,
@@ -87,8 +87,9 @@ def pose_table(samples: Iterable[PoseSample], extractors: Sequence[Extractor], *
                 figures.errors.append(errors)
                 figures.counts.append(len(a))
     rows = []
+    names = [extractor.name for extractor in extractors]
     for (name, group), figures in sorted(
-        found.items(), key=lambda item: (NAMES.index(item[0][0]), item[0][1] == TOTAL)
+        found.items(), key=lambda item: (names.index(item[0][0]), item[0][1] == TOTAL)
     ):
         by_seed = np.asarray(figures.errors).T
         shares = 100 * np.array([accuracy(errors, _ANGLES) for errors in by_seed])
@@ -106,7 +107,8 @@ def plane_table(pairs: Iterable[WarpedPhoto], extractors: Sequence[Extractor]) -
         for extractor in extractors:
             found.setdefault((extractor.name, pair.group), []).append(_plane_figures(pair, extractor))
     rows = []
-    for (name, group), figures in sorted(found.items(), key=lambda item: NAMES.index(item[0][0])):
+    names = [extractor.name for extractor in extractors]
+    for (name, group), figures in sorted(found.items(), key=lambda item: names.index(item[0][0])):
         table = np.asarray(figures)
         shares = (*table[:, :3].mean(axis=0), *accuracy(table[:, 3], _CORNER_PIXELS))
         cells = [f"{100 * share:.1f}" for share in shares]

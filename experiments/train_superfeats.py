@@ -9,7 +9,9 @@ never stopped. Several JAX devices share each batch.
 import json
 import time
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -22,6 +24,8 @@ from rich.progress import track
 
 from experiments.superfeats_pairs import Photos, RecordingPairs, Scenes, batches
 from experiments.xfeat import XFeat, default_weights
+from sfgs_jax.datasets import read_photos
+from sfgs_jax.geometry import InputError
 from sfgs_jax.superfeats.layers import fold
 from sfgs_jax.superfeats.network import NetworkConfig, initialise_network
 from sfgs_jax.superfeats.training import (
@@ -37,7 +41,6 @@ from sfgs_jax.superfeats.weights import save_weights
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 
-_PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png"}
 # Of the recording that comes with the project's data, the second half is for judging, not for training.
 _TRAINING_FRAMES = (0, 260)
 _VALIDATION_FRAMES = (260, 300)
@@ -52,7 +55,7 @@ class TrainingConfig:
     """Folder of the run: checkpoint.eqx, weights.safetensors, log.jsonl, curves.png."""
 
     steps: int = 20_000
-    """Steps over which the learning rate falls."""
+    """In all; the learning rate falls over them. Another number at a restart bends the rest of the fall."""
 
     pairs: int = 4
     """In a batch; even, and a multiple of the number of devices."""
@@ -75,25 +78,28 @@ class TrainingConfig:
     data: Path = field(default_factory=lambda: default_weights().parents[1] / "data")
     """Folder with photos/ and 7scenes/redkitchen/."""
 
+    photos: Path | None = None
+    """Photographs elsewhere than in photos/."""
+
+    layout: Literal["folder", "coco", "megadepth"] = "folder"
+    """How they lie there."""
+
     weights: LossWeights = field(default_factory=LossWeights)
     network: NetworkConfig = field(default_factory=NetworkConfig)
 
 
 def train(config: TrainingConfig) -> None:
     """Trains until `config.steps`, from the last checkpoint if there is one."""
+    if config.steps <= config.warm_up:
+        raise InputError(f"{config.steps} steps leave none after the {config.warm_up} of the warm-up.")
     config.out.mkdir(parents=True, exist_ok=True)
     teacher = XFeat(threads=1)
-    photos = sorted(
-        path for path in (config.data / "photos").rglob("*") if path.suffix.lower() in _PHOTO_SUFFIXES
-    )
+    photos = sorted(read_photos(config.photos or config.data / "photos", layout=config.layout).paths)
     validation_photos, training_photos = photos[::20], [p for i, p in enumerate(photos) if i % 20]
     validation = _take(_scenes(config, validation_photos, _VALIDATION_FRAMES), teacher, config)
     scenes = _scenes(config, training_photos, _TRAINING_FRAMES)
 
-    schedule = optax.warmup_cosine_decay_schedule(
-        0.0, config.learning_rate, config.warm_up, config.steps, config.learning_rate / 100
-    )
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+    optimiser = _optimiser(config.learning_rate, config.warm_up, config.steps)
     state = initial_state(initialise_network(jax.random.key(config.seed), config.network), optimiser)
     checkpoint = config.out / "checkpoint.eqx"
     if checkpoint.exists():
@@ -126,6 +132,13 @@ def train(config: TrainingConfig) -> None:
             _save(config, state, entry)
 
 
+@cache
+def _optimiser(learning_rate: float, warm_up: int, steps: int) -> optax.GradientTransformation:
+    """One object for the same settings, so that a step of several runs is compiled once."""
+    schedule = optax.warmup_cosine_decay_schedule(0.0, learning_rate, warm_up, steps, learning_rate / 100)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+
+
 def _scenes(
     config: TrainingConfig, photos: list[Path], frames: tuple[int, int]
 ) -> list[tuple[float, Scenes]]:
@@ -153,7 +166,7 @@ def _mean(figures: list[dict[str, float]]) -> dict[str, float]:
 
 def _save(config: TrainingConfig, state: TrainingState, entry: dict) -> None:
     """Writes the checkpoint last, so that a stop in between repeats what was not saved."""
-    save_weights(config.out / "weights.safetensors", fold(state.network))
+    save_weights(config.out / "weights.safetensors", state.network)
     with (config.out / "log.jsonl").open("a") as log:
         log.write(json.dumps(entry) + "\n")
     (config.out / "config.json").write_text(json.dumps(asdict(config), indent=2, default=str))

@@ -16,7 +16,7 @@ from sfgs_jax.superfeats.network import Network, NetworkConfig, initialise_netwo
 
 
 def save_weights(path: Path | str, network: Network) -> None:
-    """Writes a folded network; the file is whole or not there."""
+    """Writes a network, folded; the file is whole or not there."""
     leaves = jax.tree_util.tree_leaves_with_path(fold(network))
     write_atomically(path, save({_name(place): np.asarray(leaf) for place, leaf in leaves}))
 
