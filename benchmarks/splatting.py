@@ -5,6 +5,7 @@
     python -m benchmarks.splatting gaussians  time against the number of Gaussians
     python -m benchmarks.splatting sizes      time against the size of the image
     python -m benchmarks.splatting memory     peak memory with 100,000 Gaussians at 640x480
+    python -m benchmarks.splatting oracle     images and gradients beside the dense reference, at 641x479
 
 Each in one process of its own; medians of warm calls on `data/bench/splat_scene_50k.npz` (50,000 Gaussians
 of one real frame), found through SFGS_DATA or at ../shared. The floor of a time is what its arithmetic would
@@ -21,6 +22,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -32,8 +34,11 @@ from sfgs_jax.geometry import Camera, InputError, se3
 from sfgs_jax.splatting import Gaussians, RenderConfig, l1, pair_capacity, project, render, rgb_to_sh, ssim
 from sfgs_jax.splatting.binning import bin_into_tiles
 from sfgs_jax.splatting.compositing import composite
+from tests.splatting.scenes import make_camera, make_pose, make_scene, run
 
 REPEATS = 15
+
+Tree = TypeVar("Tree")
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,17 @@ class View:
             gaussians,
             means=gaussians.means + jnp.asarray(shift, jnp.float32),
             log_scales=gaussians.log_scales + 0.5 * float(np.log(old / count)),
+        )
+        return replace(self, gaussians=gaussians)
+
+    def shaken(self) -> "View":
+        """The same with no two Gaussians at one depth, whose order float32 would decide, and none round."""
+        rng, shape = np.random.default_rng(1), self.gaussians.means.shape
+        millimetres, logarithms = (jnp.asarray(rng.normal(size=shape), jnp.float32) for _ in range(2))
+        gaussians = replace(
+            self.gaussians,
+            means=self.gaussians.means + 1e-3 * millimetres,
+            log_scales=self.gaussians.log_scales + 0.5 * logarithms,
         )
         return replace(self, gaussians=gaussians)
 
@@ -242,8 +258,40 @@ def growth_table(views: list[tuple[str, View]], rates: Rates) -> None:
         )
 
 
+def converted(tree: Tree, dtype: jnp.dtype) -> Tree:
+    return jax.tree.map(lambda x: x if x.dtype == bool else jnp.asarray(x, dtype), tree)
+
+
+def compare_with_oracle(
+    name: str, scene: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, dtype: jnp.dtype
+) -> None:
+    """Print how far the image and every gradient are from the dense reference's."""
+    scene, camera, T_world_cam = converted((scene, camera, T_world_cam), dtype)
+    config = RenderConfig(pair_capacity=pair_capacity(scene, camera, T_world_cam))
+    actual, expected = (run(by, scene, T_world_cam, config, camera) for by in ("tiles", "oracle"))
+    for what in expected:
+        a, b = (np.asarray(x[what], np.float64).ravel() for x in (actual, expected))
+        error = np.linalg.norm(a - b) / np.linalg.norm(b)
+        angle = 1 - a @ b / np.linalg.norm(a) / np.linalg.norm(b)
+        row = f"{name}, {camera.width}x{camera.height}, {np.dtype(dtype).name}"
+        print(f"{row:28}{what:16}{error:16.1e}{angle:12.1e}", flush=True)
+
+
+def oracle_table(view: View) -> None:
+    """Random Gaussians of every kind at full size, and real ones in an image that the reference can hold."""
+    print(f"\n{'':44}{'relative error':>16}{'1 - cosine':>12}")
+    small, real = view.smaller(8), view.resampled(2000).shaken().gaussians
+    for dtype in (jnp.float32, jnp.float64):
+        with jax.enable_x64(dtype == jnp.float64):
+            compare_with_oracle("mixed", make_scene(20, degree=3), make_camera(641, 479), make_pose(), dtype)
+            compare_with_oracle("real", real, small.camera, small.T_world_cam, dtype)
+
+
 def main(part: str) -> None:
     view = load_view()
+    if part == "oracle":
+        oracle_table(view)
+        return
     if part == "memory":
         view = view.resampled(100_000)
         cost = measure(view.gradient(view.config()), view.gaussians, repeats=3)
@@ -266,7 +314,7 @@ def main(part: str) -> None:
         raise InputError(f"Unknown part {part!r}; there are {', '.join(PARTS)}.")
 
 
-PARTS = ("scene", "gaussians", "sizes", "memory")
+PARTS = ("scene", "gaussians", "sizes", "memory", "oracle")
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:

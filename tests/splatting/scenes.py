@@ -1,7 +1,8 @@
 """Random scenes, and a loss through every image of a rendering, by the tiles and by the oracle."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -56,28 +57,30 @@ def loss(draw, config, variables, valid, T_world_cam):
     return jnp.sum(image * jax.random.normal(jax.random.key(7), image.shape, image.dtype)), image
 
 
-PROGRAMS = {
-    (name, config): jax.jit(jax.value_and_grad(partial(loss, draw, config), has_aux=True))
-    for name, draw in (("tiles", render), ("oracle", reference.render))
-    for config in (CONFIG, ANTIALIASED)
-}
+@cache
+def program(name: str, config: RenderConfig) -> Callable:
+    """Loss, image and gradients, drawn by `tiles` or by the `oracle`."""
+    draw = {"tiles": render, "oracle": reference.render}[name]
+    return jax.jit(jax.value_and_grad(partial(loss, draw, config), has_aux=True))
 
 
 def variables_of(scene: Gaussians, camera: Camera):
     """What the loss is differentiated by: parameters, intrinsics, pose, background and features."""
     dtype = scene.means.dtype
     background = jnp.asarray([0.2, 0.4, 0.6], dtype)
-    features = jnp.asarray(np.random.default_rng(1).normal(size=(N, 2)), dtype)
+    features = jnp.asarray(np.random.default_rng(1).normal(size=(len(scene.means), 2)), dtype)
     parameters = {name: getattr(scene, name) for name in PARAMETERS}
     return parameters, camera, jnp.zeros(6, dtype), background, features
 
 
-def run(name: str, scene: Gaussians, T_world_cam=None, config: RenderConfig = CONFIG):
+def run(
+    name: str, scene: Gaussians, T_world_cam=None, config: RenderConfig = CONFIG, camera: Camera | None = None
+):
     """Image and gradients by one of the programs."""
     dtype = scene.means.dtype
     T_world_cam = make_pose(dtype) if T_world_cam is None else T_world_cam
-    variables = variables_of(scene, make_camera(dtype=dtype))
-    (_, image), gradients = PROGRAMS[name, config](variables, scene.valid, T_world_cam)
+    variables = variables_of(scene, make_camera(dtype=dtype) if camera is None else camera)
+    (_, image), gradients = program(name, config)(variables, scene.valid, T_world_cam)
     parameters, camera, delta, background, features = gradients
     # One intrinsic's gradient can be a small difference of large ones; all four are compared as one.
     intrinsics = jnp.stack(jax.tree.leaves(camera))
