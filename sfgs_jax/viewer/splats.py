@@ -1,14 +1,11 @@
 """A map in the form the browser draws: covariances and colours instead of parameters."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from sfgs_jax.geometry import rotations_from_quaternions
-from sfgs_jax.splatting import Gaussians
-
-_SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
+from sfgs_jax.splatting import Gaussians, sh_to_rgb
 
 
 @dataclass(frozen=True)
@@ -34,7 +31,7 @@ def splats_of(gaussians: Gaussians) -> Splats:
     rotations = rotations_from_quaternions(np.asarray(gaussians.quaternions)[used])
     axes = rotations * np.exp(np.asarray(gaussians.log_scales, np.float64)[used])[:, None, :]
     logits = np.asarray(gaussians.opacity_logits, np.float64)[used]
-    rgb = 0.5 + _SH_DEGREE_0 * np.asarray(gaussians.sh)[used, 0]
+    rgb = sh_to_rgb(np.asarray(gaussians.sh)[used, 0])
     return Splats(
         centres=np.asarray(gaussians.means, np.float32)[used],
         covariances=(axes @ axes.transpose(0, 2, 1)).astype(np.float32),
