@@ -34,8 +34,8 @@ from sfgs_jax.superfeats import Features, filter_by_motion, match
 from sfgs_jax.superfeats.network import forward, normalise
 
 TURNS = 6
-WARM_CALLS = 2
-CALLS = 8
+WARM_CALLS = 5
+CALLS = 12
 KEYPOINTS = 1024
 CORES = 2
 EXTRACTORS = ("superfeats", "xfeat", "orb")
@@ -58,7 +58,7 @@ def extraction(name: str, image: np.ndarray, weights: Path | None) -> Callable[[
     """Whole extraction of an image that lies on the host."""
     if name == "superfeats":
         params = superfeats.load_weights(weights)
-        return lambda: superfeats.extract(params, jnp.asarray(image), max_keypoints=KEYPOINTS)
+        return lambda: superfeats.extract(params, image, max_keypoints=KEYPOINTS)
     if name == "xfeat":
         height, width = image.shape[:2]
         network = XFeat(resized_xfeat(default_weights(), height, width), threads=CORES)

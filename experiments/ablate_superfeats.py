@@ -51,7 +51,7 @@ def trained(name: str, out: Path, steps: int) -> tuple[Extractor, dict[str, floa
     figures = json.loads((folder / "log.jsonl").read_text().splitlines()[-1])["validation"]
 
     def extract(image: np.ndarray) -> superfeats.Features:
-        return superfeats.extract(params, jnp.asarray(image), max_keypoints=KEYPOINTS)
+        return superfeats.extract(params, image, max_keypoints=KEYPOINTS)
 
     return Extractor(name, extract, 0.0), figures
 

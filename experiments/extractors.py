@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from experiments import xfeat
@@ -43,7 +42,7 @@ def make_extractor(name: str, *, max_keypoints: int, weights: Path | None) -> Ex
         params = superfeats.load_weights(weights)
         return Extractor(
             name,
-            lambda image: superfeats.extract(params, jnp.asarray(image), max_keypoints=max_keypoints),
+            lambda image: superfeats.extract(params, image, max_keypoints=max_keypoints),
             superfeats.MIN_SIMILARITY,
         )
     if name == "xfeat":

@@ -46,17 +46,20 @@ def test_valid_slots_come_first_with_falling_scores_and_unit_descriptors(params,
 def test_colour_is_its_mean_and_brightness_does_not_matter(params, rng):
     image = blocks(rng, 64, 64)
     grey = extract(params, image, max_keypoints=32)
-    colour = extract(params, jnp.stack([image, 0.5 * image, 1.5 * image], -1) * 0.7 + 0.1, max_keypoints=32)
-    np.testing.assert_allclose(colour.keypoints, grey.keypoints, atol=1e-2)
-    np.testing.assert_allclose(colour.descriptors, grey.descriptors, atol=1e-2)
+    colours = jnp.stack([image, 0.5 * image, 1.5 * image], -1) * 0.7 + 0.1
+    for kind in (colours, np.asarray(colours)):
+        colour = extract(params, kind, max_keypoints=32)
+        np.testing.assert_allclose(colour.keypoints, grey.keypoints, atol=1e-2)
+        np.testing.assert_allclose(colour.descriptors, grey.descriptors, atol=1e-2)
 
 
 def test_bytes_are_read_like_floats(params, rng):
-    image = np.rint(np.asarray(blocks(rng, 64, 64)) * 255)
-    floats, integers = (
-        extract(params, image.astype(kind), max_keypoints=32) for kind in (np.float32, np.uint8)
-    )
-    np.testing.assert_array_equal(integers.keypoints, floats.keypoints)
+    grey = np.rint(np.asarray(blocks(rng, 64, 64)) * 255)
+    for image in (grey, np.stack([grey, 0 * grey, 200 - 0.5 * grey], -1).round()):
+        floats, integers = (
+            extract(params, image.astype(kind), max_keypoints=32) for kind in (np.float32, np.uint8)
+        )
+        np.testing.assert_array_equal(integers.keypoints, floats.keypoints)
 
 
 def test_what_lies_beyond_the_image_brings_no_keypoints(params, rng):
