@@ -33,8 +33,8 @@ from sfgs_jax.geometry import InputError
 from sfgs_jax.superfeats import Features, filter_by_motion, match
 from sfgs_jax.superfeats.network import forward, normalise
 
-TURNS = 6
-WARM_CALLS = 5
+TURNS = 5
+WARM_SECONDS = 0.25
 CALLS = 12
 KEYPOINTS = 1024
 CORES = 2
@@ -89,14 +89,17 @@ def in_turns(calls: dict[str, Call]) -> dict[str, tuple[float, float]]:
     """Seconds of each first call, and the median of those of later turns.
 
     A turn is a few calls after a pause, because onnxruntime's threads go on spinning for a while after a call
-    and would slow the next contender down. The first calls of a turn warm the caches.
+    and would slow the next contender down. After a pause a machine is slow for a while, which isn't counted.
     """
     first = {name: seconds(call) for name, call in calls.items()}
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(TURNS):
         for name, call in calls.items():
             time.sleep(0.1)
-            times[name] += [seconds(call) for _ in range(WARM_CALLS + CALLS)][WARM_CALLS:]
+            warm = time.perf_counter() + WARM_SECONDS
+            while time.perf_counter() < warm:
+                seconds(call)
+            times[name] += [seconds(call) for _ in range(CALLS)]
     return {name: (first[name], float(np.median(times[name]))) for name in calls}
 
 
