@@ -5,7 +5,7 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -14,17 +14,20 @@ from sfgs_jax.cli.configuration import RunConfig, read_config, to_json
 from sfgs_jax.cli.evaluate import evaluate_folder
 from sfgs_jax.cli.log import logger, logging_to
 from sfgs_jax.cli.progress import Reporter, reporting
-from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording, prefetch
+from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording, play, prefetch
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import InputError, write_atomically
 from sfgs_jax.slam import (
     PRESETS,
+    STORAGE,
     Progress,
     Run,
     SlamConfig,
     TooManySkipped,
+    load_run,
     prepare_folder,
     run,
+    save_run,
     write_run,
     write_trajectories,
 )
@@ -47,6 +50,19 @@ class RunArguments:
     """A config.json of an earlier run whose settings are taken."""
     overwrite: bool = False
     """Replace the results of an earlier run in the output folder."""
+    resume: bool = False
+    """Go on with the run in the output folder where it was stopped."""
+    realtime: bool = False
+    """Play the recording by its own clock, with mapping in what time tracking leaves; frames that come while
+    another is tracked are dropped."""
+    no_factor_graph: bool = False
+    """Ablation: keyframes stay where they were tracked (--graph.no-enabled)."""
+    no_loops: bool = False
+    """Ablation: no loop is closed (--graph.no-loops)."""
+    features: Literal["superfeats", "orb", "none"] | None = None
+    """Ablation: which keypoints, `none` for GICP alone (--tracking.features.kind)."""
+    no_gicp: bool = False
+    """Ablation: keypoints alone (--tracking.no-use-surface)."""
     evaluate: bool = True
     """Compute image metrics and write the report after the run."""
     quiet: bool = False
@@ -60,8 +76,10 @@ class RunArguments:
 def run_command(arguments: list[str]) -> int:
     """Run the command; see RunArguments."""
     options, recording = _open(arguments)
+    options = dataclasses.replace(options, slam=_with_switches(options))
     folder = options.out or Path("runs") / recording.name
-    prepare_folder(folder, overwrite=options.overwrite)
+    if not options.resume:
+        prepare_folder(folder, overwrite=options.overwrite)
     enable_compilation_cache()
     with logging_to(folder / "run.log"):
         return _run(options, recording, folder)
@@ -81,22 +99,55 @@ def _open(arguments: list[str]) -> tuple[RunArguments, Recording]:
     return _parse(arguments, RunArguments(source="", slam=PRESETS[recording.dataset])), recording
 
 
+def _with_switches(options: RunArguments) -> SlamConfig:
+    """The settings with the ablations' short names applied."""
+    slam = options.slam
+    features, graph = slam.tracking.features, slam.graph
+    tracking = dataclasses.replace(
+        slam.tracking,
+        features=dataclasses.replace(features, kind=options.features or features.kind),
+        use_surface=slam.tracking.use_surface and not options.no_gicp,
+    )
+    if tracking.features.kind == "none" and not tracking.use_surface:
+        raise InputError("Without features and without GICP nothing is left to track with.")
+    graph = dataclasses.replace(
+        graph,
+        enabled=graph.enabled and not options.no_factor_graph,
+        loops=graph.loops and not options.no_loops,
+    )
+    return dataclasses.replace(slam, tracking=tracking, graph=graph)
+
+
 def _parse(arguments: list[str], defaults: RunArguments) -> RunArguments:
     return tyro.cli(RunArguments, prog="sfgs-jax run", args=arguments, default=defaults)
 
 
 def _run(options: RunArguments, recording: Recording, folder: Path) -> int:
     config = RunConfig(_absolute(options.source), recording.dataset, options.reader, options.slam)
+    storage = folder / STORAGE
+    resumed = _resumed(folder, storage, config) if options.resume else None
     write_atomically(folder / "config.json", to_json(config))
     for note in recording.notes:
         logger.warning(note)
     logger.info("%s: %d frames of %dx%d", recording.name, len(recording), *recording.camera.shape[::-1])
 
     failure: TooManySkipped | None = None
+    first = resumed.num_frames if resumed else 0
+    if first:
+        logger.info("going on after frame %d", first - 1)
+    frames = play(recording, first=first) if options.realtime else prefetch(recording, first=first)
     with reporting("frames", len(recording), quiet=options.quiet) as report:
-        watch = _Watcher(report, recording, folder)
+        watch = _Watcher(report, recording, folder, keep_state=not options.realtime)
         try:
-            result = run(prefetch(recording), recording.camera, options.slam, observer=watch)
+            result = run(
+                frames,
+                recording.camera,
+                options.slam,
+                observer=watch,
+                storage=storage,
+                resumed=resumed,
+                realtime=options.realtime,
+            )
         except TooManySkipped as error:
             failure, result = error, error.run
     written = _save(result, folder)
@@ -104,11 +155,15 @@ def _run(options: RunArguments, recording: Recording, folder: Path) -> int:
         logger.error("%s", failure)
     if result.interrupted:
         print(
-            f"Interrupted after {result.num_frames} frames; what there is lies in {written}.", file=sys.stderr
+            f"Interrupted after {result.num_frames} frames; what there is lies in {written}, "
+            "and --resume goes on.",
+            file=sys.stderr,
         )
         return 130
-    if not result.timestamps:
+    if not len(result.trajectory):
         raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")
+    if written == folder:
+        shutil.rmtree(storage, ignore_errors=True)
     if options.evaluate:
         metrics = evaluate_folder(written, recording, quiet=options.quiet)
         if not options.quiet:
@@ -116,11 +171,27 @@ def _run(options: RunArguments, recording: Recording, folder: Path) -> int:
     return 1 if failure is not None or written != folder else 0
 
 
-class _Watcher:
-    """Follows a run: logs what went wrong, shows progress, keeps the trajectory on disk."""
+def _resumed(folder: Path, storage: Path, config: RunConfig) -> Run:
+    """The run that was stopped.
 
-    def __init__(self, report: Reporter, recording: Recording, folder: Path) -> None:
+    Raises:
+        InputError: there is none, or it had other settings.
+    """
+    if not storage.is_dir():
+        raise InputError(f"{folder} holds no run that could be resumed: it has ended, or never began.")
+    if to_json(read_config(folder / "config.json")) != to_json(config):
+        raise InputError(
+            f"The run in {folder} was started with other settings; pass --config {folder / 'config.json'}."
+        )
+    return load_run(storage, config.slam)
+
+
+class _Watcher:
+    """Follows a run: logs what went wrong, shows progress, keeps trajectory and state on disk."""
+
+    def __init__(self, report: Reporter, recording: Recording, folder: Path, *, keep_state: bool) -> None:
         self._report, self._recording, self._folder = report, recording, folder
+        self._keep_state = keep_state
         self._error = ""
 
     def __call__(self, progress: Progress) -> None:
@@ -132,10 +203,15 @@ class _Watcher:
             logger.warning("frame %d skipped: %s", result.num_frames - 1, progress.skipped)
         elif progress.info is not None and not progress.info.tracked:
             logger.warning(
-                "frame %d lost: %.0f %% of it matched",
+                "frame %d lost: %d matches, %.0f %% of its surface fits",
                 result.num_frames - 1,
+                progress.info.num_inliers,
                 100 * progress.info.inlier_fraction,
             )
+        elif progress.info is not None and progress.info.relocalised:
+            logger.info("frame %d found again", result.num_frames - 1)
+        if progress.info is not None and progress.info.loop_closed:
+            logger.info("frame %d closed a loop", result.num_frames - 1)
         if progress.done % ERROR_FRAMES == 0 and self._recording.ground_truth is not None:
             self._error = self._running_error(result)
         rate = progress.done / result.stopwatch.elapsed
@@ -146,8 +222,10 @@ class _Watcher:
     def _checkpoint(self, result: Run) -> None:
         try:
             write_trajectories(result, self._folder)
+            if self._keep_state:
+                save_run(result, self._folder / STORAGE)
         except OSError as error:
-            logger.warning("the trajectory so far could not be written: %s", error)
+            logger.warning("what there is so far could not be written: %s", error)
 
     def _running_error(self, result: Run) -> str:
         truth = self._recording.ground_truth
@@ -159,8 +237,8 @@ class _Watcher:
 
 def _save(result: Run, folder: Path) -> Path:
     """Write the results; where the folder no longer takes them, write them where there is room."""
-    if result.dropped_seeds:
-        logger.warning("the map was full: %d Gaussians had no room (max_capacity)", result.dropped_seeds)
+    if dropped := result.state.mapping.dropped_seeds:
+        logger.warning("the map was full: %d Gaussians had no room (max_capacity)", dropped)
     try:
         write_run(result, folder)
         return folder

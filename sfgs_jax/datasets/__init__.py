@@ -5,6 +5,7 @@ from sfgs_jax.datasets.hpatches import HPATCHES_LARGE as HPATCHES_LARGE
 from sfgs_jax.datasets.hpatches import read_hpatches as read_hpatches
 from sfgs_jax.datasets.image_pairs import HomographyPair as HomographyPair
 from sfgs_jax.datasets.image_pairs import PosePair as PosePair
+from sfgs_jax.datasets.live import play as play
 from sfgs_jax.datasets.opening import LAYOUTS as LAYOUTS
 from sfgs_jax.datasets.opening import open_recording as open_recording
 from sfgs_jax.datasets.options import ReaderOptions as ReaderOptions

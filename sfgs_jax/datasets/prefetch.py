@@ -8,7 +8,9 @@ from sfgs_jax.datasets.recording import Recording
 from sfgs_jax.geometry import Frame, FrameError
 
 
-def prefetch(recording: Recording, *, ahead: int = 4) -> Iterator[tuple[int, Frame | FrameError]]:
+def prefetch(
+    recording: Recording, *, ahead: int = 4, first: int = 0
+) -> Iterator[tuple[int, Frame | FrameError]]:
     """Frames of a recording in order, decoded up to `ahead` frames before they are asked for.
 
     A frame that can't be used is yielded as its `FrameError`; any other exception is raised in the
@@ -18,6 +20,7 @@ def prefetch(recording: Recording, *, ahead: int = 4) -> Iterator[tuple[int, Fra
     Args:
         recording: what to read.
         ahead: most frames that wait decoded, at least 1.
+        first: index of the first frame.
 
     Yields:
         the frame's index, and the frame or why there is none.
@@ -34,7 +37,7 @@ def prefetch(recording: Recording, *, ahead: int = 4) -> Iterator[tuple[int, Fra
                 continue
 
     def decode() -> None:
-        for index in range(len(recording)):
+        for index in range(first, len(recording)):
             if stopped.is_set():
                 return
             try:

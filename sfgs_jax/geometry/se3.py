@@ -7,7 +7,7 @@ integer constants into float expressions, which strict dtype promotion refuses, 
 
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,8 @@ def _promoting(function: Callable[_P, _R]) -> Callable[_P, _R]:
         with jax.numpy_dtype_promotion("standard"):
             return function(*args, **kwargs)
 
-    return wrapper
+    # Called on the host, each is one small program rather than dozens; inside a larger one it dissolves.
+    return cast(Callable[_P, _R], jax.jit(wrapper, inline=True))
 
 
 def identity(dtype: jnp.dtype | type = jnp.float32) -> jaxlie.SE3:

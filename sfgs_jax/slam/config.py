@@ -1,28 +1,117 @@
 """Settings of the SLAM system: frozen dataclasses, so that a configuration can be a static argument."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from sfgs_jax.gicp import GicpConfig
 
 
 @dataclass(frozen=True)
-class TrackingConfig:
-    """How a frame's pose is found: GICP against the reference keyframe."""
+class FeaturesConfig:
+    """Keypoints, their matches, and the motion that these give."""
 
+    kind: Literal["superfeats", "orb", "none"] = "superfeats"
+    """Which keypoints; `none` leaves tracking to GICP alone."""
+    max_keypoints: int = 1024
+    """Slots for the keypoints of a frame."""
+    min_similarity: float = 0.82
+    """Cosine that the descriptors of a match must exceed."""
+    depth_tolerance: float = 0.05
+    """A keypoint has no depth if its neighbours' differ by more than this share."""
+    max_rigid_matches: int = 256
+    """The best matches, from which the first, rigid motion is found."""
+    max_distance: float = 0.08
+    """A match belongs to the rigid motion if that brings its points closer than this, metres."""
+    pixel_sigma: float = 1.0
+    """Standard deviation of a keypoint's position, pixels."""
+    inverse_depth_sigma: float = 0.003
+    """Standard deviation of a keypoint's inverse depth, 1 / m."""
+    kernel_width: float = 3.0
+    """Width of the Geman-McClure kernel of a match, standard deviations."""
+    inlier_pixels: float = 3.0
+    """A match is an inlier if its reprojection error is below this, pixels."""
+    inlier_depth_sigmas: float = 6.0
+    """... and its inverse depth is off by fewer standard deviations than this."""
+    correlation: float = 4.0
+    """How many matches share one error: those of keypoints close to each other are off together."""
+    min_inliers: int = 20
+    """With fewer inliers than this the keypoints give no motion."""
+    min_inlier_share: float = 0.25
+    """... and neither with a smaller share of all matches."""
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """How a frame's pose is found: keypoints and GICP against the reference keyframe."""
+
+    features: FeaturesConfig = field(default_factory=FeaturesConfig)
+    """Keypoints."""
     gicp: GicpConfig = field(default_factory=GicpConfig)
     """Registration settings."""
+    use_surface: bool = True
+    """Whether GICP takes part; without it keypoints alone carry the poses."""
     min_inlier_fraction: float = 0.3
-    """A frame whose share of matched points is below this, from every start, is lost."""
-    num_references: int = 12
-    """Reference keyframes that are kept; a new one is registered to all that it overlaps."""
-    max_correction: float = 0.1
-    """A registration to an older reference that disagrees by more than this, metres, is not believed."""
+    """GICP has failed where the share of matched points is below this."""
+    max_disagreement: float = 0.1
+    """GICP has failed where keypoints give a motion that differs by more, metres or radians."""
+    max_coasting: int = 15
+    """Frames in a row that may rest on the motion model in a direction that the surface leaves free."""
     keyframe_inlier_fraction: float = 0.6
-    """A new reference keyframe is taken when the share of matched points falls below this."""
+    """A new keyframe is taken when the share of matched points falls below this."""
     keyframe_translation: float = 0.3
     """... or when the camera moved this far from the reference, metres."""
     keyframe_rotation: float = 0.35
     """... or when it turned this far, radians."""
+
+
+@dataclass(frozen=True)
+class GraphConfig:
+    """The graph of keyframes: which registrations it holds, its window of landmarks, and its loops."""
+
+    enabled: bool = True
+    """Without the graph a keyframe stays where it was first tracked, and no loop is closed."""
+    num_neighbours: int = 8
+    """Earlier keyframes that see the same and that a new one is registered to, the nearest first."""
+    neighbour_distance: float = 1.0
+    """A keyframe farther away is no neighbour, metres."""
+    neighbour_angle: float = 0.6
+    """... nor is one that looks another way by more than this, radians."""
+    max_correction: float = 0.1
+    """A registration to a neighbour that disagrees with the graph by more than this, metres or radians, is
+    not believed: if it is right all the same, it is a loop."""
+    registrations_per_frame: int = 1
+    """Registrations of keyframes to each other after each frame, so that none makes a frame late."""
+    kernel_width: float = 3.0
+    """Width of the Huber kernel of a registration, standard deviations."""
+    window: int = 8
+    """Newest keyframes whose landmarks are optimised with their poses."""
+    max_landmarks: int = 2048
+    """Landmarks of a window, the most often seen first."""
+    loops: bool = True
+    """Whether loops are closed."""
+    loop_candidates: int = 2
+    """Keyframes outside the neighbourhood that look most like the new one, to be tried as loops."""
+    loop_similarity: float = 0.75
+    """Least similarity of the image descriptors of a loop."""
+    loop_gap: int = 10
+    """Keyframes so recent are never loops."""
+    loop_inliers: int = 40
+    """Least matches that agree with a loop."""
+    loop_inlier_fraction: float = 0.4
+    """Least share of surface points that agree with a loop."""
+    loop_support: int = 2
+    """Loops that must agree with each other before any is closed."""
+    max_drift: float = 0.08
+    """A loop that corrects more than this share of the way since, and 0.3 m, is taken for another place that
+    looks the same."""
+    max_turn: float = 0.35
+    """... and so is one that turns by more than this, radians."""
+    relocalisation_candidates: int = 4
+    """Keyframes that a lost frame is looked for in."""
+    relocalisation_inliers: int = 30
+    """Least matches that agree on where a lost frame is."""
+    capacity: int = 128
+    """Keyframes, and half the registrations, that the solver has room for at first; it doubles when full."""
 
 
 @dataclass(frozen=True)
@@ -85,18 +174,18 @@ class MappingConfig:
     """The map never grows beyond this; what did not fit is reported."""
     pair_capacity: int = 131_072
     """(tile, Gaussian) pairs a rendering has room for at first; it grows when a view needs more."""
-    keyframe_interval: int = 8
-    """A mapping keyframe is taken this many frames after the last one, if not sooner for tracking."""
-    keyframe_capacity: int = 256
-    """Mapping keyframes whose images are kept; beyond it the oldest is dropped."""
+    view_interval: int = 8
+    """A view is taken this many frames after the last one, if no keyframe comes sooner."""
+    views_in_memory: int = 128
+    """Views and keyframes whose images stay in memory; those of older ones are kept on disk."""
     steps_per_frame: int = 1
     """Optimisation steps after each tracked frame."""
-    steps_per_keyframe: int = 4
-    """Further optimisation steps on a new keyframe."""
+    steps_per_view: int = 4
+    """Further optimisation steps on a new view."""
     final_steps: int = 200
-    """Optimisation steps over all keyframes after the last frame."""
+    """Optimisation steps over all views after the last frame."""
     newest_share: float = 0.3
-    """Share of steps spent on the newest keyframe; the others are drawn uniformly."""
+    """Share of steps spent on the newest view; the others are drawn uniformly."""
     prune_interval: int = 200
     """Steps between two removals of transparent Gaussians."""
     prune_opacity: float = 0.02
@@ -113,6 +202,8 @@ class SlamConfig:
 
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     """Pose estimation."""
+    graph: GraphConfig = field(default_factory=GraphConfig)
+    """The graph of keyframes."""
     mapping: MappingConfig = field(default_factory=MappingConfig)
     """The Gaussian map."""
     seed: int = 0

@@ -1,17 +1,20 @@
 """The driver: runs the steps over a source of frames and keeps what they found."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
-import jax
-import numpy as np
-
-from sfgs_jax.geometry import Camera, Frame, FrameError, InputError, Trajectory, se3
+from sfgs_jax.geometry import Camera, Frame, FrameError, InputError, Trajectory
 from sfgs_jax.slam.config import SlamConfig
+from sfgs_jax.slam.mapper import Mapper
+from sfgs_jax.slam.mapping import follow_keyframes, optimise_once
 from sfgs_jax.slam.state import SlamState, init
-from sfgs_jax.slam.step import StepInfo, optimise_once, step
+from sfgs_jax.slam.step import StepInfo, follow, step
 from sfgs_jax.slam.stopwatch import Stopwatch
+from sfgs_jax.slam.storage import load, save, saved_facts, spill
 from sfgs_jax.splatting import Gaussians
+
+Frames = Iterable[tuple[int, Frame | FrameError]]
 
 
 @dataclass
@@ -42,43 +45,36 @@ class Run:
     Attributes:
         config: its settings.
         state: the state after the newest frame.
-        timestamps: seconds, of every tracked frame.
-        poses: (4, 4) `T_world_cam` of every tracked frame.
-        keyframes: positions in `timestamps` of the mapping keyframes.
-        num_frames: frames that were offered.
+        num_frames: frames that were offered, those that could not be decoded included.
         num_skipped: frames that could not be decoded.
-        num_lost: frames that could not be tracked.
-        dropped_seeds: Gaussians for which the map had no room.
+        num_dropped: frames that came while another was being tracked, in real time.
         interrupted: whether it was ended before its source was.
         stopwatch: times of its stages.
     """
 
     config: SlamConfig
     state: SlamState
-    timestamps: list[float] = field(default_factory=list)
-    poses: list[np.ndarray] = field(default_factory=list)
-    keyframes: list[int] = field(default_factory=list)
     num_frames: int = 0
     num_skipped: int = 0
-    num_lost: int = 0
-    dropped_seeds: int = 0
+    num_dropped: int = 0
     interrupted: bool = False
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
 
     @property
     def trajectory(self) -> Trajectory:
-        """Poses of the tracked frames."""
-        return Trajectory(np.asarray(self.timestamps, np.float64), np.asarray(self.poses).reshape(-1, 4, 4))
+        """Poses of the tracked frames, by where the graph has their keyframes now."""
+        return self.state.trajectory
 
     @property
     def keyframe_trajectory(self) -> Trajectory:
-        """Poses of the mapping keyframes."""
-        return self.trajectory[np.asarray(self.keyframes, int)]
+        """Poses of the frames that the map was made from."""
+        views = [view.frame for view in self.state.mapping.views]
+        return self.trajectory[self.state.log.positions(views)]
 
     @property
     def gaussians(self) -> Gaussians:
         """The map."""
-        return self.state.map.gaussians
+        return self.state.gaussians
 
 
 class TooManySkipped(InputError):
@@ -93,16 +89,42 @@ class TooManySkipped(InputError):
         self.run = run
 
 
+def save_run(run: Run, folder: Path | str) -> None:
+    """Write a run, to go on with after `load_run`. Arguments and errors as of `save`."""
+    save(
+        run.state,
+        folder,
+        num_frames=run.num_frames,
+        num_skipped=run.num_skipped,
+        num_dropped=run.num_dropped,
+    )
+
+
+def load_run(folder: Path | str, config: SlamConfig) -> Run:
+    """A run that was saved; its stopwatch starts anew. Arguments and errors as of `load`."""
+    facts = saved_facts(folder)
+    return Run(
+        config,
+        load(folder, config),
+        num_frames=facts["num_frames"],
+        num_skipped=facts["num_skipped"],
+        num_dropped=facts["num_dropped"],
+    )
+
+
 def _ignore(progress: Progress) -> None:
     pass
 
 
 def run(
-    frames: Iterable[tuple[int, Frame | FrameError]],
+    frames: Frames,
     camera: Camera,
     config: SlamConfig,
     *,
     observer: Callable[[Progress], None] = _ignore,
+    storage: Path | None = None,
+    resumed: Run | None = None,
+    realtime: bool = False,
 ) -> Run:
     """Track and map a source of frames.
 
@@ -113,48 +135,77 @@ def run(
         camera: intrinsics of the frames.
         config: settings.
         observer: called after every frame and final step.
+        storage: folder for the images of old keyframes; without one they stay in memory.
+        resumed: a run to go on with; `frames` begin where it stopped.
+        realtime: map in a thread of its own, in what time tracking leaves. Otherwise each frame has its
+            number of mapping steps, and a run repeats itself to the bit.
 
     Raises:
         TooManySkipped: too many frames could not be decoded; it carries the run so far.
     """
-    result = Run(config, init(camera, config))
+    result = resumed or Run(config, init(camera, config))
+    mapper = Mapper(result.state, result.stopwatch) if realtime else None
     try:
-        for _, frame in frames:
-            info = _advance(result, frame)
+        for number, frame in frames:
+            # Numbers that are left out are frames that came too fast.
+            result.num_dropped += max(0, number - result.num_frames)
+            result.num_frames = max(result.num_frames, number) + 1
+            info = _advance(result, frame, mapper)
+            if storage is not None and mapper is None:
+                result.state = spill(result.state, storage)
             skipped = frame if isinstance(frame, FrameError) else None
-            observer(Progress("frames", result.num_frames, result.state.num_gaussians, skipped, info, result))
+            mapping = mapper.mapping if mapper else result.state.mapping
+            observer(Progress("frames", result.num_frames, mapping.num_gaussians, skipped, info, result))
             _check_skipped(result)
+        _end_mapping(result, mapper)
         _refine(result, observer)
     except KeyboardInterrupt:
         result.interrupted = True
+        _end_mapping(result, mapper)
+    except BaseException:
+        if mapper is not None:
+            mapper.stop()
+        raise
     return result
 
 
-def _advance(run: Run, frame: Frame | FrameError) -> StepInfo | None:
-    run.num_frames += 1
+def _advance(run: Run, frame: Frame | FrameError, mapper: Mapper | None) -> StepInfo | None:
     if isinstance(frame, FrameError):
         run.num_skipped += 1
         return None
+    # The state numbers frames as the source does.
+    state = replace(run.state, num_frames=run.num_frames - 1)
     with run.stopwatch("frame"):
-        run.state, info = step(run.state, frame, stages=run.stopwatch)
-    run.dropped_seeds += info.dropped_seeds
-    if not info.tracked:
-        run.num_lost += 1
-        return info
-    if info.new_keyframe:
-        run.keyframes.append(len(run.timestamps))
-    run.timestamps.append(float(frame.timestamp))
-    run.poses.append(se3.to_matrices(jax.tree.map(lambda x: x[None], info.T_world_cam))[0])
+        if mapper is None:
+            run.state, info = step(state, frame, stages=run.stopwatch)
+        else:
+            with mapper.waiting():
+                run.state, info, view = follow(state, frame, stages=run.stopwatch)
+            if info.tracked:
+                mapper.learn(run.state, view)
     return info
 
 
+def _end_mapping(run: Run, mapper: Mapper | None) -> None:
+    """The state with what the mapper has, and the map where the keyframes are."""
+    if mapper is not None:
+        run.state = replace(run.state, mapping=mapper.stop())
+    if run.state.keyframes:
+        mapping = follow_keyframes(run.state.mapping, run.state.keyframe_poses)
+        run.state = replace(run.state, mapping=mapping)
+
+
 def _refine(run: Run, observer: Callable[[Progress], None]) -> None:
-    if not run.state.keyframes:
+    state, config = run.state, run.config
+    if not state.mapping.views:
         return
-    for done in range(run.config.mapping.final_steps):
+    for done in range(config.mapping.final_steps):
         with run.stopwatch("refinement"):
-            run.state, _ = optimise_once(run.state)
-        observer(Progress("refinement", done + 1, run.state.num_gaussians, None, None, run))
+            mapping, _ = optimise_once(
+                run.state.mapping, state.mapping_camera, config.mapping, seed=config.seed
+            )
+        run.state = replace(run.state, mapping=mapping)
+        observer(Progress("refinement", done + 1, mapping.num_gaussians, None, None, run))
 
 
 def _check_skipped(run: Run) -> None:

@@ -3,8 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Float, Int
 
+from sfgs_jax.geometry import se3
 from sfgs_jax.splatting import Gaussians
 
 Parameters = dict[str, Array]
@@ -27,12 +30,14 @@ class GaussianMap(eqx.Module):
         first_moment: Adam's mean gradient of each parameter.
         second_moment: Adam's mean squared gradient of each parameter.
         updates: (N,) optimisation steps in which each Gaussian was seen.
+        keyframes: (N,) number of the keyframe that each Gaussian belongs to and moves with.
     """
 
     gaussians: Gaussians
     first_moment: Parameters
     second_moment: Parameters
     updates: Float[Array, " n"]
+    keyframes: Int[Array, " n"]
 
 
 def parameters(gaussians: Gaussians) -> Parameters:
@@ -55,6 +60,7 @@ def empty_map(capacity: int) -> GaussianMap:
         first_moment=zeros,
         second_moment=zeros,
         updates=jnp.zeros(capacity),
+        keyframes=jnp.zeros(capacity, jnp.int32),
     )
 
 
@@ -62,3 +68,44 @@ def grow(gaussian_map: GaussianMap) -> GaussianMap:
     """The same map with twice the room; programs over it compile anew."""
     room = empty_map(gaussian_map.gaussians.valid.shape[0])
     return jax.tree.map(lambda used, free: jnp.concatenate([used, free]), gaussian_map, room)
+
+
+def move(
+    gaussian_map: GaussianMap, old: Float[np.ndarray, "k 7"], new: Float[np.ndarray, "k 7"]
+) -> GaussianMap:
+    """The map after its keyframes have moved, each Gaussian with its own.
+
+    Args:
+        gaussian_map: the map.
+        old: (k, 7) `T_world_cam` of the keyframes as wxyz_xyz, before.
+        new: the same after.
+    """
+    room = -len(old) % _KEYFRAME_BLOCK
+    padded = (np.pad(poses, ((0, room), (0, 0)), mode="edge") for poses in (old, new))
+    return _move(gaussian_map, *padded)
+
+
+_KEYFRAME_BLOCK = 128
+"""Poses are padded to a multiple of this, so that a new keyframe needs no new program."""
+
+
+@jax.jit
+def _move(gaussian_map: GaussianMap, old: Float[Array, "k 7"], new: Float[Array, "k 7"]) -> GaussianMap:
+    moved = se3.compose(jaxlie.SE3(new), se3.inverse(jaxlie.SE3(old)))
+    T = jaxlie.SE3(moved.wxyz_xyz[gaussian_map.keyframes])
+    gaussians = gaussian_map.gaussians
+    rotation = se3.rotation_matrix(T)
+    means = jnp.einsum("nij,nj->ni", rotation, gaussians.means) + T.wxyz_xyz[:, 4:]
+    return eqx.tree_at(
+        lambda m: (m.gaussians.means, m.gaussians.quaternions),
+        gaussian_map,
+        (means, _product(T.wxyz_xyz[:, :4], gaussians.quaternions)),
+    )
+
+
+def _product(a: Float[Array, "n 4"], b: Float[Array, "n 4"]) -> Float[Array, "n 4"]:
+    """Product of quaternions wxyz, the second of any length."""
+    w, v = a[:, :1], a[:, 1:]
+    x, u = b[:, :1], b[:, 1:]
+    scalar = w * x - jnp.sum(v * u, axis=1, keepdims=True)
+    return jnp.concatenate([scalar, w * u + x * v + jnp.cross(v, u)], axis=1)

@@ -32,7 +32,7 @@ def optimise(
     config: OptimisationConfig,
     render_config: RenderConfig,
 ) -> tuple[GaussianMap, Float[Array, ""], Int[Array, ""]]:
-    """One step of Adam on the Gaussians that a keyframe sees.
+    """One step of Adam on the Gaussians that a view sees.
 
     Each Gaussian counts its own steps: one that was set late starts with Adam's bias correction as one
     that was set early did, and one out of view keeps its place and its moments.
@@ -70,6 +70,7 @@ def optimise(
         first_moment=first,
         second_moment=second,
         updates=updates,
+        keyframes=gaussian_map.keyframes,
     )
     return optimised, loss, overflow
 

@@ -3,6 +3,7 @@
 import json
 import platform
 import resource
+import shutil
 import sys
 import tempfile
 from importlib.metadata import version
@@ -26,6 +27,10 @@ OUTPUT_FILES = (
 """Everything a run writes, and all that --overwrite replaces."""
 
 
+STORAGE = "state"
+"""Folder within the run's own, for what it goes on from after a stop; removed at its end."""
+
+
 def prepare_folder(folder: Path, *, overwrite: bool) -> None:
     """Make the output folder and make sure, before any work is done, that it can be written.
 
@@ -46,6 +51,7 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
             )
         for name in OUTPUT_FILES:
             (folder / name).unlink(missing_ok=True)
+        shutil.rmtree(folder / STORAGE, ignore_errors=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
             probe.write(b"\0")
     except OSError as error:
@@ -75,18 +81,21 @@ def run_metrics(run: Run) -> dict[str, object]:
     """What a run knows of itself; the evaluation adds what needs ground truth or the images."""
     stages = run.stopwatch.summary()
     gaussians = run.gaussians
-    used = run.state.num_gaussians
+    used = run.state.mapping.num_gaussians
     slots = gaussians.valid.shape[0]
     size = sum(leaf.nbytes for leaf in jax.tree.leaves(gaussians)) // slots * used
     tracking = run.stopwatch.total("tracking")
-    tracked = len(run.timestamps)
+    state = run.state
+    tracked = len(state.log.timestamps)
     return {
         "frames": {
             "total": run.num_frames,
             "tracked": tracked,
             "skipped": run.num_skipped,
-            "lost": run.num_lost,
-            "keyframes": len(run.keyframes),
+            "dropped": run.num_dropped,
+            "lost": state.num_lost,
+            "keyframes": len(state.keyframes),
+            "views": len(state.mapping.views),
             "interrupted": run.interrupted,
         },
         "fps": {
@@ -94,9 +103,9 @@ def run_metrics(run: Run) -> dict[str, object]:
             "overall": round(run.num_frames / run.stopwatch.elapsed, 2),
         },
         "stages": stages,
-        "map": {"gaussians": used, "bytes": size, "dropped": run.dropped_seeds},
+        "map": {"gaussians": used, "bytes": size, "dropped": state.mapping.dropped_seeds},
         "memory": {"peak_mb": round(peak_memory_mb(), 1)},
-        "loops": {"accepted": 0},
+        "loops": {"accepted": state.num_loops},
         "versions": versions(),
     }
 

@@ -83,9 +83,12 @@ def seed(
     missing: Bool[Array, "h w"],
     camera: Camera,
     T_world_cam: jaxlie.SE3,
+    keyframe: Int[Array, ""],
     config: SeedingConfig,
 ) -> tuple[GaussianMap, Int[Array, ""]]:
     """Put a Gaussian into a free slot for every seed pixel that is missing from the map.
+
+    They belong to the keyframe of the given number.
 
     Returns:
         The map with those Gaussians, and the number of seeds for which there was no room.
@@ -110,4 +113,5 @@ def seed(
         first_moment=jax.tree.map(put, gaussian_map.first_moment, nothing),
         second_moment=jax.tree.map(put, gaussian_map.second_moment, nothing),
         updates=put(gaussian_map.updates, 0.0),
+        keyframes=put(gaussian_map.keyframes, keyframe),
     ), jnp.maximum(jnp.sum(wanted) - jnp.sum(~valid), 0)

@@ -3,40 +3,122 @@
 import equinox as eqx
 import jax.numpy as jnp
 import jaxlie
-from jaxtyping import Array, Float, UInt8
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt8
 
-from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.gicp import OrganisedCloud
+from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.gaussian_map import GaussianMap, empty_map
+from sfgs_jax.slam.observation import Extractor, Observation, load_extractor
+from sfgs_jax.splatting import Gaussians
 
 
 class Keyframe(eqx.Module):
-    """A view that the map is optimised against, at the mapping resolution.
+    """A frame that others are registered to: a node of the graph.
+
+    Attributes:
+        observation: its surface and keypoints.
+        T_world_cam: its pose.
+        landmarks: (K,) number of the landmark that each keypoint shows, -1 where it shows none.
+        frame: number of the frame it was.
+    """
+
+    observation: Observation
+    T_world_cam: jaxlie.SE3
+    landmarks: Int[np.ndarray, " k"]
+    frame: int
+
+
+class Edge(eqx.Module):
+    """A registration of one keyframe to another.
+
+    Attributes:
+        target: number of the keyframe registered to.
+        source: number of the keyframe registered, the later one.
+        T_target_source: the motion found.
+        information: (6, 6) of its tangent, by surface and keypoints.
+        surface_information: (6, 6) by the surface alone.
+        loop: whether it closes a loop.
+    """
+
+    target: int
+    source: int
+    T_target_source: jaxlie.SE3
+    information: Float[Array, "6 6"]
+    surface_information: Float[Array, "6 6"]
+    loop: bool
+
+
+class View(eqx.Module):
+    """Images that the map is optimised against, at the mapping resolution.
 
     Attributes:
         rgb: (h, w, 3) colours, 0 to 255.
         depth: (h, w) metres, 0 where missing.
-        T_world_cam: its pose.
-        index: number of the frame it was.
+        keyframe: number of the keyframe that it belongs to.
+        T_keyframe_cam: its pose there.
+        frame: number of the frame it was.
     """
 
-    rgb: UInt8[Array, "h w 3"]
-    depth: Float[Array, "h w"]
-    T_world_cam: jaxlie.SE3
-    index: int
+    rgb: UInt8[Array | np.ndarray, "h w 3"]
+    depth: Float[Array | np.ndarray, "h w"]
+    keyframe: int
+    T_keyframe_cam: jaxlie.SE3
+    frame: int
 
 
-class Reference(eqx.Module):
-    """A keyframe that frames are registered to.
+class FrameLog(eqx.Module):
+    """Where each tracked frame was, relative to the keyframe that it was registered to.
 
     Attributes:
-        cloud: its prepared depth image.
-        T_world_cam: its pose.
+        timestamps: (n,) seconds, float64.
+        numbers: (n,) of the frames.
+        keyframes: (n,) number of each frame's keyframe.
+        motions: (n, 7) `T_keyframe_cam` as wxyz_xyz.
     """
 
-    cloud: OrganisedCloud
-    T_world_cam: jaxlie.SE3
+    timestamps: Float[np.ndarray, " n"]
+    numbers: Int[np.ndarray, " n"]
+    keyframes: Int[np.ndarray, " n"]
+    motions: Float[np.ndarray, "n 7"]
+
+    def with_frame(self, timestamp: float, number: int, keyframe: int, motion: jaxlie.SE3) -> "FrameLog":
+        """The log with one more frame."""
+        return FrameLog(
+            np.append(self.timestamps, timestamp),
+            np.append(self.numbers, number),
+            np.append(self.keyframes, keyframe),
+            np.concatenate([self.motions, np.asarray(motion.wxyz_xyz)[None]]),
+        )
+
+    def positions(self, numbers: list[int]) -> Int[np.ndarray, " k"]:
+        """Where in the log the frames of these ascending numbers are."""
+        return np.flatnonzero(np.isin(self.numbers, numbers))
+
+
+class MapState(eqx.Module):
+    """The mapper's part of the state.
+
+    Attributes:
+        map: the Gaussians and their optimiser.
+        views: what the map is optimised against, oldest first.
+        keyframe_poses: (n, 7) where the Gaussians take the keyframes to be, as wxyz_xyz.
+        num_steps: optimisation steps done.
+        pair_capacity: room for (tile, Gaussian) pairs in a rendering; it grows when a view needs more.
+        dropped_seeds: Gaussians for which the map had no room.
+    """
+
+    map: GaussianMap
+    views: tuple[View, ...]
+    keyframe_poses: Float[np.ndarray, "n 7"]
+    num_steps: int
+    pair_capacity: int
+    dropped_seeds: int
+
+    @property
+    def num_gaussians(self) -> int:
+        """Gaussians in the map."""
+        return int(np.sum(self.map.gaussians.valid))
 
 
 class SlamState(eqx.Module):
@@ -45,31 +127,57 @@ class SlamState(eqx.Module):
     Attributes:
         config: settings; static.
         camera: intrinsics of the frames.
-        T_world_cam: pose of the newest tracked frame.
+        extractor: weights of the keypoint network, None without one.
+        keyframes: nodes of the graph, oldest first.
+        edges: registrations of keyframes to each other.
+        pending: pairs (target, source) of keyframes still to be registered, the next one first.
+        candidates: loops that are not believed yet.
+        reference: number of the keyframe that frames are registered to.
+        T_reference_cam: pose there of the newest tracked frame.
         T_previous_current: motion between the two newest tracked frames.
-        references: the tracker's newest keyframes, oldest first; the next frame is registered to the last.
-        map: the Gaussians and their optimiser.
-        keyframes: mapping keyframes, oldest first.
+        num_coasting: frames in a row that the motion model had a part in.
+        log: where the tracked frames were.
         num_frames: frames seen.
-        num_steps: optimisation steps done.
-        pair_capacity: room for (tile, Gaussian) pairs in a rendering; it grows when a view needs more.
+        num_lost: frames that were not found.
+        last_view: number of the newest frame that became a view of the map.
+        num_landmarks: landmarks numbered so far.
+        mapping: the map and its views.
     """
 
     config: SlamConfig = eqx.field(static=True)
     camera: Camera
-    T_world_cam: jaxlie.SE3
-    T_previous_current: jaxlie.SE3
-    references: tuple[Reference, ...]
-    map: GaussianMap
+    extractor: Extractor
     keyframes: tuple[Keyframe, ...]
+    edges: tuple[Edge, ...]
+    pending: tuple[tuple[int, int], ...]
+    candidates: tuple[Edge, ...]
+    reference: int
+    T_reference_cam: jaxlie.SE3
+    T_previous_current: jaxlie.SE3
+    num_coasting: int
+    log: FrameLog
     num_frames: int
-    num_steps: int
-    pair_capacity: int
+    num_lost: int
+    last_view: int
+    num_landmarks: int
+    mapping: MapState
 
     @property
-    def num_gaussians(self) -> int:
-        """Gaussians in the map."""
-        return int(jnp.sum(self.map.gaussians.valid))
+    def T_world_cam(self) -> jaxlie.SE3:
+        """Pose of the newest tracked frame; the identity before the first."""
+        if not self.keyframes:
+            return self.T_reference_cam
+        return se3.compose(self.keyframes[self.reference].T_world_cam, self.T_reference_cam)
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The map."""
+        return self.mapping.map.gaussians
+
+    @property
+    def num_loops(self) -> int:
+        """Loops that were closed."""
+        return sum(edge.loop for edge in self.edges)
 
     @property
     def mapping_factor(self) -> int:
@@ -81,6 +189,20 @@ class SlamState(eqx.Module):
         """Intrinsics of the reduced images."""
         return self.camera.downscaled(self.mapping_factor)
 
+    @property
+    def keyframe_poses(self) -> Float[np.ndarray, "n 7"]:
+        """(n, 7) `T_world_cam` of the keyframes as wxyz_xyz."""
+        return np.asarray([k.T_world_cam.wxyz_xyz for k in self.keyframes], np.float32).reshape(-1, 7)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses of the tracked frames, by where their keyframes are now."""
+        if not len(self.log.timestamps):
+            return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+        keyframes = se3.to_matrices(jaxlie.SE3(jnp.asarray(self.keyframe_poses)))
+        motions = se3.to_matrices(jaxlie.SE3(jnp.asarray(self.log.motions)))
+        return Trajectory(self.log.timestamps, keyframes[self.log.keyframes] @ motions)
+
 
 def init(camera: Camera, config: SlamConfig | None = None) -> SlamState:
     """The state before the first frame, whose camera will be the world frame.
@@ -90,15 +212,30 @@ def init(camera: Camera, config: SlamConfig | None = None) -> SlamState:
         config: settings.
     """
     config = config or SlamConfig()
+    empty = FrameLog(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 7), np.float32))
     return SlamState(
         config=config,
         camera=camera,
-        T_world_cam=se3.identity(),
-        T_previous_current=se3.identity(),
-        references=(),
-        map=empty_map(config.mapping.capacity),
+        extractor=load_extractor(config.tracking.features),
         keyframes=(),
+        edges=(),
+        pending=(),
+        candidates=(),
+        reference=0,
+        T_reference_cam=se3.identity(),
+        T_previous_current=se3.identity(),
+        num_coasting=0,
+        log=empty,
         num_frames=0,
-        num_steps=0,
-        pair_capacity=config.mapping.pair_capacity,
+        num_lost=0,
+        last_view=0,
+        num_landmarks=0,
+        mapping=MapState(
+            map=empty_map(config.mapping.capacity),
+            views=(),
+            keyframe_poses=np.zeros((0, 7), np.float32),
+            num_steps=0,
+            pair_capacity=config.mapping.pair_capacity,
+            dropped_seeds=0,
+        ),
     )

@@ -1,24 +1,25 @@
-"""One step of the system: track a frame, take keyframes, optimise the map."""
+"""One step of the system: find the frame, take keyframes, advance the graph, advance the map."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from jaxtyping import Array, Float
 
-from sfgs_jax.geometry import Camera, Frame, clean_depth, downscale_depth, downscale_rgb
-from sfgs_jax.slam.gaussian_map import GaussianMap, grow
-from sfgs_jax.slam.optimisation import optimise, prune
-from sfgs_jax.slam.seeding import seed, uncovered
-from sfgs_jax.slam.state import Keyframe, Reference, SlamState
-from sfgs_jax.slam.tracking import track
-from sfgs_jax.splatting import RenderConfig, RenderOutput, pair_capacity, render
+from sfgs_jax.geometry import Frame, clean_depth, se3
+from sfgs_jax.slam.graph import edge_of, is_edge, neighbours, optimise_poses, register_pair
+from sfgs_jax.slam.loops import believe, is_candidate, loop_pairs, with_candidate
+from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, view_of
+from sfgs_jax.slam.observation import Observation, observe
+from sfgs_jax.slam.registration import Carrier
+from sfgs_jax.slam.state import Keyframe, MapState, SlamState, View
+from sfgs_jax.slam.tracking import Tracking, has_left, motion_since, track
+from sfgs_jax.slam.window import optimise_window, share_landmarks
 
 Stages = Callable[[str], AbstractContextManager[None]]
 """Gives, for the name of a stage, a context that lasts as long as the stage and times it."""
@@ -28,163 +29,264 @@ class StepInfo(NamedTuple):
     """What happened in a step.
 
     Attributes:
-        T_world_cam: the frame's pose.
-        tracked: whether that pose is known; if not, it is the last known one.
-        new_reference: the frame became the one that the next are registered to.
-        new_keyframe: the frame became a keyframe of the map.
-        inlier_fraction: share of the frame's points matched in the reference.
-        rmse: root mean square distance of the matched points, metres.
+        T_world_cam: the frame's pose; the last known one where it was lost.
+        tracked: whether that pose is known.
+        carrier: what it rests on: keypoints, surface, both, or the motion model in part.
+        relocalised: the frame was found again after it, or those before it, had been lost.
+        new_keyframe: the frame became a node of the graph.
+        new_view: the frame became a view of the map.
+        loop_closed: a loop was closed in this step.
+        inlier_fraction: share of the frame's points that lie on the reference's surface.
+        rmse: root mean square distance of those, metres.
+        num_matches: keypoints matched with the reference's.
+        num_inliers: matches that agree with the motion found.
         loss: mapping loss before the last optimisation step; nan if there was none.
-        dropped_seeds: Gaussians for which the map had no room.
     """
 
     T_world_cam: jaxlie.SE3
     tracked: bool
-    new_reference: bool
+    carrier: Carrier
+    relocalised: bool
     new_keyframe: bool
+    new_view: bool
+    loop_closed: bool
     inlier_fraction: float
     rmse: float
+    num_matches: int
+    num_inliers: int
     loss: float
-    dropped_seeds: int
 
 
-def _untimed(name: str) -> AbstractContextManager[None]:
+class Followed(NamedTuple):
+    """What following a frame gave: all but the map.
+
+    Attributes:
+        state: the run with the frame.
+        info: what happened.
+        view: what the map should learn from, if anything.
+    """
+
+    state: SlamState
+    info: StepInfo
+    view: View | None
+
+
+def untimed(name: str) -> AbstractContextManager[None]:
+    """Stages that nobody times."""
     return nullcontext()
 
 
-def step(state: SlamState, frame: Frame, *, stages: Stages = _untimed) -> tuple[SlamState, StepInfo]:
-    """Process one frame: its pose, then the map.
+def step(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> tuple[SlamState, StepInfo]:
+    """Process one frame: its pose, then the graph of keyframes, then the map.
 
-    The work is done by jit-compiled functions, compiled once per image size and map capacity.
+    The work is done by jit-compiled functions, compiled once per image size and map capacity; the first
+    frame compiles them all.
 
     Args:
         state: the run so far, from `init` or an earlier step.
         frame: the next frame, of the size that the camera has.
-        stages: times the stages `tracking`, `keyframe` and `mapping`.
+        stages: times the stages `tracking`, `graph`, `view` and `mapping`.
 
     Raises:
         ValueError: the frame has another size than the camera.
+    """
+    state, info, view = follow(state, frame, stages=stages)
+    mapping, loss = advance_map(state, state.mapping, view, tracked=info.tracked, stages=stages)
+    return replace(state, mapping=mapping), info._replace(loss=loss)
+
+
+def follow(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> Followed:
+    """Find a frame's pose and bring the graph up to date; the map is left to whoever owns it.
+
+    Arguments and errors as of `step`.
     """
     if frame.depth.shape != state.camera.shape or frame.rgb.shape != (*state.camera.shape, 3):
         raise ValueError(
             f"The frame has colour {frame.rgb.shape} and depth {frame.depth.shape}, the camera is for images "
             f"of {state.camera.shape}: pass frames of one size, and init() a state for each size."
         )
-    depth, _ = clean_depth(jnp.asarray(frame.depth))
+    number = state.num_frames
     with stages("tracking"):
-        found = track(state, depth)
-    state = replace(
-        state,
-        T_world_cam=found.T_world_cam,
-        T_previous_current=found.T_previous_current,
-        num_frames=state.num_frames + 1,
-    )
-    new_keyframe = found.tracked and (found.new_reference or _keyframe_is_due(state))
-    loss, dropped = float("nan"), 0
-    if found.tracked:
-        if found.new_reference:
-            reference = Reference(found.cloud, found.T_world_cam)
-            kept = (*state.references, reference)[-state.config.tracking.num_references :]
-            state = replace(state, references=kept)
-        if new_keyframe:
-            with stages("keyframe"):
-                state, dropped = _insert_keyframe(state, frame, depth)
-        with stages("mapping"):
-            mapping = state.config.mapping
-            extra = mapping.steps_per_keyframe if new_keyframe else 0
-            for i in range(extra + mapping.steps_per_frame):
-                state, loss = optimise_once(state, newest=i < extra)
-    info = StepInfo(
-        found.T_world_cam,
-        found.tracked,
-        found.new_reference,
-        new_keyframe,
-        found.inlier_fraction,
-        found.rmse,
-        loss,
-        dropped,
-    )
-    return state, info
+        depth, _ = _clean(jnp.asarray(frame.depth))
+        observation = observe(frame, state.camera, state.extractor, state.config.tracking, depth=depth)
+        if not state.keyframes:
+            tracking = None
+        else:
+            tracking = track(state, observation)
+            state = _placed(state, tracking)
+        state = replace(state, num_frames=number + 1)
+    if tracking is None:
+        # A first frame that shows nothing can't be registered to.
+        if not _shows_something(observation):
+            return Followed(replace(state, num_lost=state.num_lost + 1), _lost(state, None), None)
+        state = _with_keyframe(state, observation, state.T_world_cam, number)
+    elif tracking.carrier == Carrier.NONE:
+        return Followed(replace(state, num_lost=state.num_lost + 1), _lost(state, tracking), None)
+    info = _info(state, tracking)
+
+    new_keyframe = tracking is None
+    with stages("graph"):
+        if tracking is not None and _should_be_keyframe(state, tracking, observation):
+            state = _next_keyframe(state, observation, tracking, number)
+            new_keyframe = True
+        state, closed = _advance_graph(state, new_keyframe)
+    log = state.log.with_frame(float(frame.timestamp), number, state.reference, state.T_reference_cam)
+    state = replace(state, log=log)
+    info = info._replace(new_keyframe=new_keyframe, loop_closed=closed, T_world_cam=state.T_world_cam)
+
+    view = None
+    if new_keyframe or _view_is_due(state):
+        view = view_of(frame, depth, state.mapping_factor, state.reference, state.T_reference_cam, number)
+        info = info._replace(new_view=True)
+        state = replace(state, last_view=number)
+    return Followed(state, info, view)
 
 
-def optimise_once(state: SlamState, *, newest: bool = False) -> tuple[SlamState, float]:
-    """One optimisation step on the newest keyframe, or on one drawn from all.
+def advance_map(
+    state: SlamState, mapping: MapState, view: View | None, *, tracked: bool, stages: Stages = untimed
+) -> tuple[MapState, float]:
+    """What the map does after a frame: takes the keyframes' new poses and the view, and optimises.
 
     Returns:
-        The state after it and the loss before it.
+        The map state, and the loss before the last optimisation step (nan if there was none).
     """
-    config = state.config.mapping
-    draw = np.random.default_rng([state.config.seed, state.num_steps])
-    newest = newest or draw.random() < config.newest_share
-    chosen = state.keyframes[-1 if newest else draw.integers(len(state.keyframes))]
-    while True:
-        render_config = RenderConfig(pair_capacity=state.pair_capacity)
-        optimised, loss, overflow = optimise(
-            state.map,
-            chosen.rgb,
-            chosen.depth,
-            state.mapping_camera,
-            chosen.T_world_cam,
-            config.optimisation,
-            render_config,
-        )
-        if not int(overflow):
-            break
-        state = _with_room_for_pairs(state, chosen.T_world_cam)
-    num_steps = state.num_steps + 1
-    if num_steps % config.prune_interval == 0:
-        optimised = prune(optimised, config.prune_opacity)
-    return replace(state, map=optimised, num_steps=num_steps), float(loss)
+    config, loss = state.config.mapping, float("nan")
+    if not tracked:
+        return mapping, loss
+    with stages("view"):
+        mapping = follow_keyframes(mapping, state.keyframe_poses)
+        if view is not None:
+            mapping = insert_view(mapping, view, state.mapping_camera, config)
+    with stages("mapping"):
+        extra = config.steps_per_view if view is not None else 0
+        for i in range(extra + config.steps_per_frame):
+            mapping, loss = optimise_once(
+                mapping, state.mapping_camera, config, seed=state.config.seed, newest=i < extra
+            )
+    return mapping, loss
 
 
-def _keyframe_is_due(state: SlamState) -> bool:
-    return state.num_frames - 1 - state.keyframes[-1].index >= state.config.mapping.keyframe_interval
-
-
-def _insert_keyframe(state: SlamState, frame: Frame, depth: jax.Array) -> tuple[SlamState, int]:
-    """Store the view and set Gaussians where the map lacks its surface, growing the map where it is full."""
-    config = state.config.mapping
-    camera = state.mapping_camera
-    rgb, small_depth = _reduce(jnp.asarray(frame.rgb), depth, state.mapping_factor)
-    while True:
-        rendered = _render(
-            state.map, camera, state.T_world_cam, RenderConfig(pair_capacity=state.pair_capacity)
-        )
-        if not int(rendered.overflow):
-            break
-        state = _with_room_for_pairs(state, state.T_world_cam)
-    missing = uncovered(rendered, small_depth, config.seeding)
-    while True:
-        seeded, dropped = seed(
-            state.map, rgb, small_depth, missing, camera, state.T_world_cam, config.seeding
-        )
-        capacity = seeded.gaussians.valid.shape[0]
-        if not int(dropped) or 2 * capacity > config.max_capacity:
-            break
-        state = replace(state, map=grow(state.map))
-    keyframe = Keyframe(
-        rgb=jnp.round(rgb * 255).astype(jnp.uint8),
-        depth=small_depth,
-        T_world_cam=state.T_world_cam,
-        index=state.num_frames - 1,
+def _placed(state: SlamState, tracking: Tracking) -> SlamState:
+    """The state with the frame where it was found."""
+    if tracking.carrier == Carrier.NONE:
+        return replace(state, T_previous_current=se3.identity())
+    T = tracking.found.T_target_source
+    motion = se3.identity() if tracking.relocalised else motion_since(state, tracking.reference, T)
+    coasting = state.num_coasting + 1 if tracking.carrier == Carrier.COASTING else 0
+    return replace(
+        state,
+        reference=tracking.reference,
+        T_reference_cam=T,
+        T_previous_current=motion,
+        num_coasting=coasting,
     )
-    kept = (*state.keyframes, keyframe)[-config.keyframe_capacity :]
-    return replace(state, map=seeded, keyframes=kept), int(dropped)
 
 
-def _with_room_for_pairs(state: SlamState, T_world_cam: jaxlie.SE3) -> SlamState:
-    """The state with room for the pairs of a view that did not fit, and half as much again."""
-    need = pair_capacity(state.map.gaussians, state.mapping_camera, T_world_cam, headroom=1.5)
-    return replace(state, pair_capacity=max(need, 2 * state.pair_capacity))
+def _with_keyframe(
+    state: SlamState, observation: Observation, T_world_cam: jaxlie.SE3, number: int
+) -> SlamState:
+    """The state with one more keyframe, which is the reference from now on."""
+    slots = observation.keypoints.depth.shape[0]
+    keyframe = Keyframe(observation, T_world_cam, np.full(slots, -1), number)
+    return replace(
+        state,
+        keyframes=(*state.keyframes, keyframe),
+        reference=len(state.keyframes),
+        T_reference_cam=se3.identity(),
+    )
 
 
-@eqx.filter_jit
-def _render(
-    gaussian_map: GaussianMap, camera: Camera, T_world_cam: jaxlie.SE3, render_config: RenderConfig
-) -> RenderOutput:
-    return render(gaussian_map.gaussians, camera, T_world_cam, config=render_config)
+def _next_keyframe(state: SlamState, observation: Observation, tracking: Tracking, number: int) -> SlamState:
+    """The state with the frame as a keyframe, tied to its reference and waiting to be tied to others."""
+    target, source = tracking.reference, len(state.keyframes)
+    state = _with_keyframe(state, observation, state.T_world_cam, number)
+    if not state.config.graph.enabled:
+        return state
+    state = share_landmarks(state, target, source, tracking.found)
+    state = replace(state, edges=(*state.edges, edge_of(target, source, tracking.found)))
+    near = neighbours(state)
+    far = tuple(pair for pair in loop_pairs(state) if pair not in near and pair[0] != target)
+    return replace(state, pending=(*state.pending, *near, *far))
 
 
-@partial(jax.jit, static_argnums=2)
-def _reduce(rgb: jax.Array, depth: jax.Array, factor: int) -> tuple[jax.Array, jax.Array]:
-    return downscale_rgb(rgb, factor), downscale_depth(depth, factor)
+def _advance_graph(state: SlamState, new_keyframe: bool) -> tuple[SlamState, bool]:
+    """Register a pair or so of keyframes; once the newest has no more to wait for, optimise.
+
+    Returns:
+        The state, and whether a loop was closed.
+    """
+    config, closed = state.config.graph, False
+    if not config.enabled:
+        return state, False
+    waited = bool(state.pending)
+    # A backlog is worked off faster: a keyframe brings some ten pairs, and the next may come soon.
+    for _ in range(max(config.registrations_per_frame, len(state.pending) // _BACKLOG)):
+        if not state.pending:
+            break
+        (target, source), rest = state.pending[0], state.pending[1:]
+        found, correction = register_pair(state, target, source)
+        state = replace(state, pending=rest)
+        if is_edge(state, found, correction):
+            state = share_landmarks(state, target, source, found)
+            state = replace(state, edges=(*state.edges, edge_of(target, source, found)))
+        elif is_candidate(state, target, source, found):
+            state, closed_now = believe(with_candidate(state, edge_of(target, source, found)))
+            closed |= closed_now
+    if closed or (not state.pending and (waited or new_keyframe)):
+        state = optimise_window(optimise_poses(state))
+    return state, closed
+
+
+def _should_be_keyframe(state: SlamState, tracking: Tracking, observation: Observation) -> bool:
+    # A pose that rests on the motion model in part would pass its error on to all that follow.
+    firm = tracking.carrier != Carrier.COASTING and not tracking.relocalised
+    return firm and has_left(tracking.found, state.config) and _shows_something(observation)
+
+
+def _view_is_due(state: SlamState) -> bool:
+    return state.num_frames - 1 - state.last_view >= state.config.mapping.view_interval
+
+
+def _shows_something(observation: Observation) -> bool:
+    """Whether a frame could be registered to this one."""
+    return bool(jnp.any(observation.cloud.levels[0].valid) | jnp.any(observation.keypoints.measured))
+
+
+def _info(state: SlamState, tracking: Tracking | None) -> StepInfo:
+    if tracking is None:
+        return StepInfo(
+            state.T_world_cam, True, Carrier.BOTH, False, True, True, False, 1.0, 0.0, 0, 0, float("nan")
+        )
+    found = tracking.found
+    return StepInfo(
+        T_world_cam=state.T_world_cam,
+        tracked=tracking.carrier != Carrier.NONE,
+        carrier=tracking.carrier,
+        relocalised=tracking.relocalised,
+        new_keyframe=False,
+        new_view=False,
+        loop_closed=False,
+        inlier_fraction=float(found.inlier_fraction),
+        rmse=float(found.rmse),
+        num_matches=int(found.matched.num_matches),
+        num_inliers=int(found.matched.num_inliers),
+        loss=float("nan"),
+    )
+
+
+def _lost(state: SlamState, tracking: Tracking | None) -> StepInfo:
+    if tracking is None:
+        nothing = _info(state, None)
+        return nothing._replace(
+            tracked=False, carrier=Carrier.NONE, new_keyframe=False, new_view=False, inlier_fraction=0.0
+        )
+    return _info(state, tracking)
+
+
+_BACKLOG = 10
+"""Waiting registrations beyond which more than one is done at a time."""
+
+
+@jax.jit
+def _clean(depth: Float[Array, "H W"]) -> tuple[Array, Array]:
+    return clean_depth(depth)

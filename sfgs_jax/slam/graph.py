@@ -1,0 +1,123 @@
+"""The graph of keyframes: registrations between them, and their poses by all of these."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.factor_graph import FactorGraph, RelativePose, SolverConfig, Status, Values, solve
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.registration import Carrier, Registration, register
+from sfgs_jax.slam.state import Edge, Keyframe, SlamState
+
+SOLVER = SolverConfig(max_iterations=15)
+
+
+def edge_of(target: int, source: int, found: Registration, *, loop: bool = False) -> Edge:
+    """A registration as an edge of the graph."""
+    return Edge(target, source, found.T_target_source, found.information, found.surface_information, loop)
+
+
+def neighbours(state: SlamState) -> tuple[tuple[int, int], ...]:
+    """Pairs of the newest keyframe with earlier ones that see the same, but for its reference.
+
+    Judged by their poses: cameras near each other that look the same way.
+    """
+    config = state.config.graph
+    poses = se3.to_matrices(jaxlie.SE3(jnp.asarray(state.keyframe_poses)))
+    newest = len(poses) - 1
+    known = {edge.target for edge in state.edges if edge.source == newest}
+    distance = np.linalg.norm(poses[:newest, :3, 3] - poses[newest, :3, 3], axis=1)
+    angle = np.arccos(np.clip(poses[:newest, :3, 2] @ poses[newest, :3, 2], -1, 1))
+    near = (distance < config.neighbour_distance) & (angle < config.neighbour_angle)
+    order = np.argsort(distance + angle, kind="stable")
+    chosen = [int(i) for i in order if near[i] and int(i) not in known][: config.num_neighbours]
+    return tuple((i, newest) for i in chosen)
+
+
+def register_pair(state: SlamState, target: int, source: int) -> tuple[Registration, float]:
+    """Register a keyframe to another from where the graph has them, and the correction found.
+
+    Returns:
+        The registration, and by how much it disagrees with the graph: metres or radians, the larger.
+    """
+    a, b = state.keyframes[target], state.keyframes[source]
+    guess = se3.compose(se3.inverse(a.T_world_cam), b.T_world_cam)
+    found = register(b.observation, a.observation, guess, state.camera, state.config.tracking)
+    off = np.asarray(se3.log(se3.compose(se3.inverse(guess), found.T_target_source)))
+    return found, float(max(np.linalg.norm(off[:3]), np.linalg.norm(off[3:])))
+
+
+def is_edge(state: SlamState, found: Registration, correction: float) -> bool:
+    """Whether a registration of neighbours is believed."""
+    features = state.config.tracking.features.kind != "none"
+    carriers = (Carrier.BOTH, Carrier.KEYPOINTS) if features else (Carrier.SURFACE,)
+    return int(found.carrier) in carriers and correction < state.config.graph.max_correction
+
+
+def optimise_poses(state: SlamState) -> SlamState:
+    """All keyframes' poses by all registrations, the first keyframe fixed.
+
+    The kernel bounds what a wrong registration can do. Loops get one that gives them up altogether where
+    the rest of the graph contradicts them: dynamic covariance scaling.
+    """
+    if not state.edges:
+        return state
+    config = state.config.graph
+    room = config.capacity
+    while room < len(state.keyframes) or 2 * room < len(state.edges):
+        room *= 2
+    factors = [
+        _relative_poses([e for e in state.edges if e.loop == loop], 2 * room, config, loop)
+        for loop in (False, True)
+    ]
+    free = np.zeros(room, bool)
+    free[1 : len(state.keyframes)] = True
+    graph = FactorGraph(factors, num_poses=room, free_poses=free, linear_solver="dense")
+    solution = solve(graph, Values(jaxlie.SE3(_padded(state.keyframe_poses, room))), config=SOLVER)
+    if int(solution.status) in (Status.DIVERGED, Status.SINGULAR):
+        return state
+    return with_poses(state, np.asarray(solution.values.poses.wxyz_xyz)[: len(state.keyframes)])
+
+
+def with_poses(state: SlamState, poses: Float[np.ndarray, "n 7"]) -> SlamState:
+    """The state with its keyframes moved; the map follows with its next step."""
+    keyframes = tuple(
+        replace(keyframe, T_world_cam=jaxlie.SE3(jnp.asarray(pose)))
+        for keyframe, pose in zip(state.keyframes, poses, strict=True)
+    )
+    return replace(state, keyframes=keyframes)
+
+
+def travelled(keyframes: tuple[Keyframe, ...], start: int, end: int) -> float:
+    """Length of the way from one keyframe to a later one, metres."""
+    positions = np.asarray([k.T_world_cam.wxyz_xyz[4:] for k in keyframes[start : end + 1]])
+    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+
+
+def _relative_poses(edges: list[Edge], room: int, config: GraphConfig, loop: bool) -> RelativePose:
+    """The edges as one block of factors, padded."""
+    count = len(edges)
+    poses = np.zeros((room, 2), np.int32)
+    poses[:, 1] = 1
+    motions = np.tile(np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32), (room, 1))
+    information = np.tile(np.eye(6, dtype=np.float32), (room, 1, 1))
+    for row, edge in enumerate(edges):
+        poses[row] = edge.target, edge.source
+        motions[row] = edge.T_target_source.wxyz_xyz
+        information[row] = edge.information
+    return RelativePose(
+        poses,
+        jaxlie.SE3(jnp.asarray(motions)),
+        jnp.asarray(information),
+        valid=np.arange(room) < count,
+        kernel="dynamic_covariance_scaling" if loop else "huber",
+        kernel_width=config.kernel_width,
+    )
+
+
+def _padded(poses: Float[np.ndarray, "n 7"], room: int) -> jnp.ndarray:
+    return jnp.asarray(np.pad(poses, ((0, room - len(poses)), (0, 0)), mode="edge"))

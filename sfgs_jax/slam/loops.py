@@ -1,0 +1,79 @@
+"""Loop closure: candidates by looks, verification by registration, consistency, and a bound on drift."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+
+from sfgs_jax.factor_graph import RelativePose, Values, consistent_loops
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.graph import travelled
+from sfgs_jax.slam.registration import Carrier, Registration
+from sfgs_jax.slam.state import Edge, SlamState
+from sfgs_jax.slam.tracking import similarities
+
+
+def loop_pairs(state: SlamState) -> tuple[tuple[int, int], ...]:
+    """Pairs of the newest keyframe with earlier ones that look like it, to be registered."""
+    config = state.config.graph
+    newest = len(state.keyframes) - 1
+    old = newest - config.loop_gap
+    if not config.loops or old < 1:
+        return ()
+    alike = similarities(state, state.keyframes[newest].observation)[:old]
+    order = np.argsort(-alike, kind="stable")[: config.loop_candidates]
+    return tuple((int(i), newest) for i in order if alike[i] > config.loop_similarity)
+
+
+def is_candidate(state: SlamState, target: int, source: int, found: Registration) -> bool:
+    """Whether a registration may close a loop: both kinds of residuals bear it out, and drift explains it.
+
+    Two rooms that look the same pass every test of looks and of fit; what tells them apart is that the way
+    between them was too short for so large an error.
+    """
+    config = state.config.graph
+    if not config.loops or source - target <= config.loop_gap:
+        return False
+    borne_out = (
+        int(found.carrier) == Carrier.BOTH
+        and int(found.matched.num_inliers) >= config.loop_inliers
+        and float(found.inlier_fraction) >= config.loop_inlier_fraction
+    )
+    a, b = state.keyframes[target].T_world_cam, state.keyframes[source].T_world_cam
+    expected = se3.compose(se3.inverse(a), b)
+    off = np.asarray(se3.log(se3.compose(se3.inverse(expected), found.T_target_source)))
+    bound = 0.3 + config.max_drift * travelled(state.keyframes, target, source)
+    return bool(borne_out and np.linalg.norm(off[:3]) < bound and np.linalg.norm(off[3:]) < config.max_turn)
+
+
+def believe(state: SlamState) -> tuple[SlamState, bool]:
+    """Turn the candidates that agree with each other into loops, if there are enough of them.
+
+    Returns:
+        The state, and whether a loop was closed.
+    """
+    config = state.config.graph
+    candidates = state.candidates
+    if len(candidates) < config.loop_support:
+        return state, False
+    # The number of candidates is padded: what depends on it is on the host, but not its arithmetic.
+    factor = RelativePose(
+        np.asarray([(e.target, e.source) for e in candidates]),
+        jaxlie.SE3(jnp.stack([e.T_target_source.wxyz_xyz for e in candidates])),
+        jnp.stack([e.information for e in candidates]),
+    )
+    agreed = consistent_loops(factor, Values(jaxlie.SE3(jnp.asarray(state.keyframe_poses))))
+    if agreed.sum() < config.loop_support:
+        return state, False
+    closed = tuple(replace(e, loop=True) for e, good in zip(candidates, agreed, strict=True) if good)
+    return replace(state, edges=(*state.edges, *closed), candidates=()), True
+
+
+def with_candidate(state: SlamState, candidate: Edge) -> SlamState:
+    """The state with one more loop to be believed or not; old ones that found no support make room."""
+    return replace(state, candidates=(*state.candidates, candidate)[-_REMEMBERED:])
+
+
+_REMEMBERED = 16
+"""Candidates that wait for others to agree with them."""

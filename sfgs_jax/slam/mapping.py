@@ -1,0 +1,151 @@
+"""The map beside the tracker: new views, new Gaussians, optimisation steps."""
+
+from dataclasses import replace
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Float
+
+from sfgs_jax.geometry import Camera, Frame, downscale_depth, downscale_rgb, se3
+from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.gaussian_map import GaussianMap, grow, move
+from sfgs_jax.slam.optimisation import optimise, prune
+from sfgs_jax.slam.seeding import seed, uncovered
+from sfgs_jax.slam.state import MapState, View
+from sfgs_jax.splatting import RenderConfig, RenderOutput, pair_capacity, render
+
+
+def view_of(
+    frame: Frame,
+    depth: Float[Array, "H W"],
+    factor: int,
+    keyframe: int,
+    T_keyframe_cam: jaxlie.SE3,
+    number: int,
+) -> View:
+    """A view of a frame at the mapping resolution.
+
+    Args:
+        frame: colours are read.
+        depth: metres, 0 where missing.
+        factor: whole factor by which to reduce the images.
+        keyframe: number of the keyframe that the view belongs to.
+        T_keyframe_cam: its pose there.
+        number: of the frame.
+    """
+    rgb, small = _reduce(jnp.asarray(frame.rgb), depth, factor)
+    return View(rgb, small, keyframe, T_keyframe_cam, number)
+
+
+def follow_keyframes(mapping: MapState, keyframe_poses: Float[np.ndarray, "n 7"]) -> MapState:
+    """The map where the keyframes are now: each Gaussian has moved with its own."""
+    old = mapping.keyframe_poses
+    if not np.array_equal(old, keyframe_poses[: len(old)]):
+        mapping = replace(mapping, map=move(mapping.map, old, keyframe_poses[: len(old)]))
+    return replace(mapping, keyframe_poses=keyframe_poses)
+
+
+def insert_view(mapping: MapState, view: View, camera: Camera, config: MappingConfig) -> MapState:
+    """Keep a view and set Gaussians where the map lacks its surface, growing the map where it is full.
+
+    Args:
+        mapping: the map, which knows of the view's keyframe.
+        view: what to keep.
+        camera: of the views.
+        config: settings.
+    """
+    depth, T_world_cam = jnp.asarray(view.depth), _pose(view, mapping)
+    while True:
+        room = RenderConfig(pair_capacity=mapping.pair_capacity)
+        rendered = _render(mapping.map, camera, T_world_cam, room)
+        if not int(rendered.overflow):
+            break
+        mapping = _with_room_for_pairs(mapping, camera, T_world_cam)
+    missing = uncovered(rendered, depth, config.seeding)
+    rgb, keyframe = _colours(view.rgb), jnp.asarray(view.keyframe, jnp.int32)
+    while True:
+        seeded, dropped = seed(
+            mapping.map, rgb, depth, missing, camera, T_world_cam, keyframe, config.seeding
+        )
+        capacity = seeded.gaussians.valid.shape[0]
+        if not int(dropped) or 2 * capacity > config.max_capacity:
+            break
+        mapping = replace(mapping, map=grow(mapping.map))
+    return replace(
+        mapping,
+        map=seeded,
+        views=(*mapping.views, view),
+        dropped_seeds=mapping.dropped_seeds + int(dropped),
+    )
+
+
+def optimise_once(
+    mapping: MapState, camera: Camera, config: MappingConfig, *, seed: int = 0, newest: bool = False
+) -> tuple[MapState, float]:
+    """One optimisation step on the newest view, or on one drawn from all.
+
+    Args:
+        mapping: the map and at least one view.
+        camera: of the views.
+        config: settings.
+        seed: of the choice of views.
+        newest: take the newest view, whatever is drawn.
+
+    Returns:
+        The map state after it and the loss before it.
+    """
+    draw = np.random.default_rng([seed, mapping.num_steps])
+    newest = newest or draw.random() < config.newest_share
+    chosen = mapping.views[-1 if newest else draw.integers(len(mapping.views))]
+    T_world_cam = _pose(chosen, mapping)
+    while True:
+        optimised, loss, overflow = optimise(
+            mapping.map,
+            jnp.asarray(chosen.rgb),
+            jnp.asarray(chosen.depth),
+            camera,
+            T_world_cam,
+            config.optimisation,
+            RenderConfig(pair_capacity=mapping.pair_capacity),
+        )
+        if not int(overflow):
+            break
+        mapping = _with_room_for_pairs(mapping, camera, T_world_cam)
+    num_steps = mapping.num_steps + 1
+    if num_steps % config.prune_interval == 0:
+        optimised = prune(optimised, config.prune_opacity)
+    return replace(mapping, map=optimised, num_steps=num_steps), float(loss)
+
+
+def _pose(view: View, mapping: MapState) -> jaxlie.SE3:
+    """`T_world_cam` of a view, by where its keyframe is."""
+    keyframe = jaxlie.SE3(jnp.asarray(mapping.keyframe_poses[view.keyframe]))
+    return se3.compose(keyframe, view.T_keyframe_cam)
+
+
+def _with_room_for_pairs(mapping: MapState, camera: Camera, T_world_cam: jaxlie.SE3) -> MapState:
+    """The state with room for the pairs of a view that did not fit, and half as much again."""
+    need = pair_capacity(mapping.map.gaussians, camera, T_world_cam, headroom=1.5)
+    return replace(mapping, pair_capacity=max(need, 2 * mapping.pair_capacity))
+
+
+@eqx.filter_jit
+def _render(
+    gaussian_map: GaussianMap, camera: Camera, T_world_cam: jaxlie.SE3, render_config: RenderConfig
+) -> RenderOutput:
+    return render(gaussian_map.gaussians, camera, T_world_cam, config=render_config)
+
+
+@partial(jax.jit, static_argnums=2)
+def _reduce(rgb: jax.Array, depth: jax.Array, factor: int) -> tuple[jax.Array, jax.Array]:
+    small = downscale_rgb(rgb, factor)
+    return jnp.round(small * 255).astype(jnp.uint8), downscale_depth(depth, factor)
+
+
+@jax.jit
+def _colours(rgb: jax.Array) -> jax.Array:
+    return rgb.astype(jnp.float32) / 255

@@ -1,0 +1,165 @@
+"""Motion between two frames by their matched keypoints."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from sfgs_jax import gicp
+from sfgs_jax.geometry import Camera, kernel_weight, se3
+from sfgs_jax.slam.config import FeaturesConfig
+from sfgs_jax.slam.observation import Keypoints
+from sfgs_jax.superfeats import match
+
+_STEPS = 8
+_NEAREST = 0.05
+"""Metres along z below which a point has no image."""
+
+
+class MatchedMotion(eqx.Module):
+    """A motion with the matches that support it.
+
+    Attributes:
+        T_target_source: the motion.
+        information: (6, 6) of its tangent (translation first, right perturbation), by the noise of pixels
+            and of inverse depth.
+        index: (K,) the target's slot for each slot of the source.
+        inliers: (K,) the matches that the motion explains.
+        num_matches: how many there were.
+        num_inliers: how many of them are inliers.
+    """
+
+    T_target_source: jaxlie.SE3
+    information: Float[Array, "6 6"]
+    index: Int[Array, " k"]
+    inliers: Bool[Array, " k"]
+    num_matches: Int[Array, ""]
+    num_inliers: Int[Array, ""]
+
+
+class _Rows(NamedTuple):
+    """Matched keypoints: the target's points, and what the source saw of them."""
+
+    points: Float[Array, "k 3"]
+    pixels: Float[Array, "k 2"]
+    depth: Float[Array, " k"]
+    valid: Bool[Array, " k"]
+
+
+def motion_from_keypoints(
+    source: Keypoints, target: Keypoints, guess: jaxlie.SE3, camera: Camera, config: FeaturesConfig
+) -> MatchedMotion:
+    """Match two frames' keypoints and find the motion between the frames.
+
+    A rigid motion that lays the matched points on each other, by graduated non-convexity, or the guess,
+    whichever explains more matches: the former needs depth in both frames, the latter is all there is for a
+    source without. Then the reprojection error of the target's points in the source, pixels and, where the
+    source has it, inverse depth, is minimised by Gauss-Newton with a Geman-McClure kernel.
+
+    Args:
+        source: keypoints of the frame to locate, whose depth may be missing.
+        target: keypoints with depth of the frame to locate it in.
+        guess: the motion as it is thought to be.
+        camera: intrinsics of both.
+        config: settings.
+    """
+    matches = match(source.features, target.features, min_similarity=config.min_similarity)
+    valid = matches.valid & target.measured[matches.index_b]
+    rows = _Rows(target.points[matches.index_b], source.features.keypoints, source.depth, valid)
+
+    best = jnp.where(valid & (source.depth > 0), matches.similarity, -1)
+    similarity, order = lax.top_k(best, min(config.max_rigid_matches, best.shape[0]))
+    rigid = gicp.rigid_from_matches(
+        source.points[order],
+        rows.points[order],
+        1 / jnp.maximum(source.depth[order], 0.3) ** 2,
+        valid=similarity > 0,
+        max_distance=config.max_distance,
+    )
+    limit = 2 * config.inlier_pixels
+    support, guessed = (
+        jnp.sum(_explained(T, rows, camera, config, limit)) for T in (rigid.T_target_source, guess)
+    )
+    T = jax.tree.map(lambda a, b: jnp.where(support > guessed, a, b), rigid.T_target_source, guess)
+    T, hessian = _refine(T, rows, camera, config)
+    inliers = _explained(T, rows, camera, config, config.inlier_pixels)
+    return MatchedMotion(
+        T,
+        hessian / config.correlation,
+        matches.index_b,
+        inliers,
+        jnp.sum(valid),
+        jnp.sum(inliers),
+    )
+
+
+def _residuals(
+    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig
+) -> tuple[Float[Array, "k 3"], Float[Array, "k 3 6"], Bool[Array, " k"]]:
+    """Whitened residuals of T_target_source, their Jacobians in its tangent, and which rows have an image."""
+    points = se3.transform(se3.inverse(T), rows.points)
+    x, y, z = points.T
+    front = rows.valid & (z > _NEAREST)
+    inverse = 1 / jnp.where(front, z, 1)
+    a, b, zero = x * inverse, y * inverse, jnp.zeros_like(x)
+    known = rows.depth > 0
+    offsets = [
+        (camera.fx * a + camera.cx - rows.pixels[:, 0]) / config.pixel_sigma,
+        (camera.fy * b + camera.cy - rows.pixels[:, 1]) / config.pixel_sigma,
+        jnp.where(known, inverse - 1 / jnp.where(known, rows.depth, 1), 0) / config.inverse_depth_sigma,
+    ]
+    slopes = [
+        jnp.stack([camera.fx * inverse, zero, -camera.fx * a * inverse], -1) / config.pixel_sigma,
+        jnp.stack([zero, camera.fy * inverse, -camera.fy * b * inverse], -1) / config.pixel_sigma,
+        jnp.stack([zero, zero, jnp.where(known, -(inverse**2), 0)], -1) / config.inverse_depth_sigma,
+    ]
+    slope = jnp.stack(slopes, axis=1)
+    # A point of the target, in the source, moves by -d_translation + [p] d_rotation.
+    jacobian = jnp.concatenate([-slope, jnp.cross(points[:, None], -slope)], axis=-1)
+    return (
+        jnp.where(front[:, None], jnp.stack(offsets, -1), 0),
+        jnp.where(front[:, None, None], jacobian, 0),
+        front,
+    )
+
+
+def _explained(
+    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig, pixels: float
+) -> Bool[Array, " k"]:
+    residual, _, front = _residuals(T, rows, camera, config)
+    error = jnp.sum(residual[:, :2] ** 2, axis=1)
+    near = jnp.abs(residual[:, 2]) < config.inlier_depth_sigmas
+    return front & near & (error < (pixels / config.pixel_sigma) ** 2)
+
+
+def _refine(
+    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig
+) -> tuple[jaxlie.SE3, Float[Array, "6 6"]]:
+    """Iteratively reweighted Gauss-Newton; the Hessian at the end, divided by the residuals' excess."""
+
+    def equations(T: jaxlie.SE3) -> tuple[Array, Array, Array, Array]:
+        residual, jacobian, front = _residuals(T, rows, camera, config)
+        square = jnp.sum(residual**2, axis=1)
+        weight = jnp.where(front, kernel_weight(square, "geman_mcclure", config.kernel_width), 0)
+        weighted = weight[:, None, None] * jacobian
+        hessian = jnp.einsum("kri,krj->ij", weighted, jacobian)
+        gradient = jnp.einsum("kri,kr->i", weighted, residual)
+        return hessian, gradient, jnp.sum(weight * square), jnp.sum(weight)
+
+    def step(_: Int[Array, ""], T: jaxlie.SE3) -> jaxlie.SE3:
+        hessian, gradient, _, _ = equations(T)
+        # Damped by its own diagonal, so that what no match fixes stays where it is.
+        diagonal = jnp.diagonal(hessian)
+        damped = hessian + jnp.diag(1e-4 * diagonal + 1e-3)
+        delta = -jax.scipy.linalg.solve(damped, gradient, assume_a="pos")
+        return se3.compose(T, se3.exp(jnp.clip(delta, -0.5, 0.5)))
+
+    T = lax.fori_loop(0, _STEPS, step, T)
+    hessian, _, square, weight = equations(T)
+    # Three rows a match.
+    excess = jnp.maximum(square / jnp.maximum(3 * weight, 1), 1)
+    return T, hessian / excess

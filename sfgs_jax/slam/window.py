@@ -1,0 +1,161 @@
+"""The window: the newest keyframes with the landmarks they see, optimised together."""
+
+from collections import Counter
+from dataclasses import replace
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Bool, Int
+
+from sfgs_jax.factor_graph import (
+    Capacities,
+    FactorGraph,
+    PosePrior,
+    RelativePose,
+    RgbdReprojection,
+    Status,
+    Values,
+    solve,
+)
+from sfgs_jax.factor_graph.structure import CLUSTER_LANDMARKS
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.graph import SOLVER, with_poses
+from sfgs_jax.slam.registration import Registration
+from sfgs_jax.slam.state import Edge, SlamState
+
+_PRIOR_SIGMAS = (0.02, 0.02)
+"""How firmly the window's poses stay where the rest of the graph has them: metres, radians."""
+
+
+def share_landmarks(state: SlamState, target: int, source: int, found: Registration) -> SlamState:
+    """The state in which the matched keypoints of two keyframes show the same landmarks.
+
+    A keypoint of either that shows a landmark already hands it on; others start one.
+    """
+    a, b = state.keyframes[target].landmarks.copy(), state.keyframes[source].landmarks.copy()
+    inliers = np.asarray(found.matched.inliers)
+    slots_b = np.flatnonzero(inliers)
+    slots_a = np.asarray(found.matched.index)[slots_b]
+    taken = set(b[b >= 0].tolist())
+    number = state.num_landmarks
+    for slot_a, slot_b in zip(slots_a, slots_b, strict=True):
+        if b[slot_b] >= 0:
+            if a[slot_a] < 0 and b[slot_b] not in set(a.tolist()):
+                a[slot_a] = b[slot_b]
+            continue
+        if a[slot_a] < 0:
+            a[slot_a] = number
+            number += 1
+        # One landmark has one place in an image.
+        if a[slot_a] not in taken:
+            b[slot_b] = a[slot_a]
+            taken.add(int(a[slot_a]))
+    keyframes = list(state.keyframes)
+    keyframes[target] = replace(keyframes[target], landmarks=a)
+    keyframes[source] = replace(keyframes[source], landmarks=b)
+    return replace(state, keyframes=tuple(keyframes), num_landmarks=number)
+
+
+def optimise_window(state: SlamState) -> SlamState:
+    """Poses of the newest keyframes and the landmarks they see, by everything known of these.
+
+    GICP's registrations among them, pixels and depths of the landmarks, and for each pose a prior that ties
+    it to the rest of the graph; the oldest pose is fixed. SFGS-SLAM (Wang and Deng, 2025), section 3.3.
+    """
+    config = state.config
+    size = config.graph.window
+    first = max(0, len(state.keyframes) - size)
+    members = state.keyframes[first:]
+    if len(members) < 2 or config.tracking.features.kind == "none":
+        return state
+    slots = len(members[0].landmarks)
+    landmarks = np.full((size, slots), -1)
+    pixels = np.zeros((size, slots, 2), np.float32)
+    depth = np.zeros((size, slots), np.float32)
+    points = np.zeros((config.graph.max_landmarks, 3), np.float32)
+    for row, keyframe in enumerate(members):
+        keypoints = keyframe.observation.keypoints
+        landmarks[row] = keyframe.landmarks
+        pixels[row], depth[row] = keypoints.features.keypoints, keypoints.depth
+    index, seen = _compressed(landmarks, config.graph.max_landmarks)
+    for row, keyframe in reversed(list(enumerate(members))):
+        # A landmark starts where the first keyframe that measured its depth saw it.
+        known = seen[row] & (depth[row] > 0)
+        world = np.asarray(se3.transform(keyframe.T_world_cam, keyframe.observation.keypoints.points))
+        points[index[row][known]] = world[known]
+    measured = np.zeros(config.graph.max_landmarks, bool)
+    measured[index[seen & (depth > 0)]] = True
+    seen &= measured[index]
+
+    poses = np.pad(state.keyframe_poses[first:], ((0, size - len(members)), (0, 0)), mode="edge")
+    features = config.tracking.features
+    correlation = np.sqrt(features.correlation)
+    observations = RgbdReprojection(
+        np.repeat(np.arange(size), slots),
+        index.reshape(-1),
+        pixels.reshape(-1, 2),
+        depth.reshape(-1),
+        state.camera,
+        sigma=features.pixel_sigma * correlation,
+        inverse_depth_sigma=features.inverse_depth_sigma * correlation,
+        valid=seen.reshape(-1),
+        kernel="geman_mcclure",
+        kernel_width=features.kernel_width,
+    )
+    free = (np.arange(size) > 0) & (np.arange(size) < len(members))
+    graph = FactorGraph(
+        [observations, _registrations(state.edges, first, size), _priors(poses)],
+        num_poses=size,
+        num_landmarks=config.graph.max_landmarks,
+        free_poses=free,
+        free_landmarks=measured,
+        linear_solver="dense",
+        capacities=Capacities(
+            clusters=-(-config.graph.max_landmarks // CLUSTER_LANDMARKS), cluster_poses=size
+        ),
+    )
+    solution = solve(graph, Values(jaxlie.SE3(jnp.asarray(poses)), jnp.asarray(points)), config=SOLVER)
+    if int(solution.status) in (Status.DIVERGED, Status.SINGULAR):
+        return state
+    found = np.asarray(solution.values.poses.wxyz_xyz)[: len(members)]
+    return with_poses(state, np.concatenate([state.keyframe_poses[:first], found]))
+
+
+def _compressed(
+    landmarks: Int[np.ndarray, "w k"], capacity: int
+) -> tuple[Int[np.ndarray, "w k"], Bool[np.ndarray, "w k"]]:
+    """Numbers of the landmarks seen at least twice, counted from 0, and which slots show one of these."""
+    counts = Counter(landmarks[landmarks >= 0].tolist())
+    kept = [number for number, count in counts.most_common(capacity) if count > 1]
+    place = {number: i for i, number in enumerate(kept)}
+    index = np.vectorize(lambda number: place.get(number, -1), otypes=[np.int32])(landmarks)
+    return np.maximum(index, 0), index >= 0
+
+
+def _registrations(edges: tuple[Edge, ...], first: int, size: int) -> RelativePose:
+    """The surfaces' part of the registrations within the window."""
+    room = size * (size - 1) // 2
+    inside = [e for e in edges if e.target >= first and not e.loop][-room:]
+    poses = np.tile(np.asarray([0, 1], np.int32), (room, 1))
+    motions = np.tile(np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32), (room, 1))
+    information = np.tile(np.eye(6, dtype=np.float32), (room, 1, 1))
+    for row, edge in enumerate(inside):
+        poses[row] = edge.target - first, edge.source - first
+        motions[row] = edge.T_target_source.wxyz_xyz
+        information[row] = edge.surface_information
+    valid = np.arange(room) < len(inside)
+    return RelativePose(
+        poses,
+        jaxlie.SE3(jnp.asarray(motions)),
+        jnp.asarray(information),
+        valid=valid,
+        kernel="huber",
+        kernel_width=3.0,
+    )
+
+
+def _priors(poses: np.ndarray) -> PosePrior:
+    sigmas = np.repeat(_PRIOR_SIGMAS, 3)
+    information = jnp.diag(jnp.asarray(1 / sigmas**2, jnp.float32))
+    return PosePrior(np.arange(len(poses)), jaxlie.SE3(jnp.asarray(poses)), information)
