@@ -8,6 +8,7 @@ from sfgs_jax.gicp.locate import Located
 from sfgs_jax.gicp.normal_equations import hessian, moment_sums, squared_radius, total
 from sfgs_jax.gicp.residuals import weight_matrices
 from sfgs_jax.gicp.result import RegistrationResult
+from sfgs_jax.gicp.spatial_hash import SpatialHash
 from sfgs_jax.gicp.step import confidence, normal_distance
 
 
@@ -48,7 +49,12 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
     unit = jnp.where(jnp.arange(6) < 3, 1, 1 / jnp.maximum(spread, 1e-3))
     geometry = hessian(fixing) * unit[:, None] * unit[None, :] / jnp.maximum(count, 1)
     values, vectors = jnp.linalg.eigh(geometry)
-    converged = found.settled & (count >= config.min_inliers) & (fraction >= config.min_inlier_fraction)
+    # Many points may have the same nearest one: a list of a few of them supports nothing.
+    search = problem.target.search
+    supported = count >= config.min_inliers
+    if isinstance(search, SpatialHash):
+        supported = supported & (search.starts[-1] >= config.min_inliers)
+    converged = found.settled & supported & (fraction >= config.min_inlier_fraction)
     return RegistrationResult(
         T,
         information,

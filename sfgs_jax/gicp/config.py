@@ -33,7 +33,8 @@ class PointsConfig:
     """Most voxels at the finest level, half as many at each coarser one: what memory and time depend on."""
 
     slots: int = 128
-    """Most neighbours looked at for one point: a voxel neighbourhood on a surface holds some 40."""
+    """Most neighbours looked at for one point: a voxel neighbourhood on a surface holds some 40. Where the
+    search is widened it is four times as many."""
 
     doublings: int = 2
     """How often the search for k neighbours is widened, in steps of two, from cells of two voxels."""
@@ -124,7 +125,8 @@ class GicpConfig:
     """An inlier lies within this many standard deviations of the target's surface."""
 
     min_inliers: int = 100
-    """Fewer inliers than this at the finest level and the result is not called converged."""
+    """Fewer inliers than this at the finest level, or fewer points in an unorganised target, and the result
+    is not called converged."""
 
     min_inlier_fraction: float = 0.2
     """A smaller share of inliers and the result is not called converged."""

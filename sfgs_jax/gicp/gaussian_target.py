@@ -77,7 +77,7 @@ def _prepare_gaussians(
     config: PointsConfig,
 ) -> PointCloud:
     levels, overflow = [], jnp.asarray(0, jnp.int32)
-    for i, cells in enumerate(voxel_levels(means, triangles, valid, config)):
+    for cells in voxel_levels(means, triangles, valid, config):
         match target_covariance:
             case "neighbours":
                 level, missed = plane_level(cells, k, config)
@@ -88,5 +88,5 @@ def _prepare_gaussians(
             case _:
                 assert_never(target_covariance)
         levels.append(level)
-        overflow += missed + (cells.dropped if i == 0 else 0)
+        overflow += missed + cells.dropped
     return PointCloud(tuple(levels), origin, overflow)

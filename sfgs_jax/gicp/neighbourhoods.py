@@ -8,9 +8,15 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.gicp.spatial_hash import MAX_SLOTS, SpatialHash, build_hash, neighbouring_runs, square_distances
+from sfgs_jax.gicp.sorting import stable_order
+from sfgs_jax.gicp.spatial_hash import SpatialHash, build_hash, neighbouring_runs, square_distances
 
 _BLOCK = 1024
+"""Points searched for at once."""
+
+WIDENING = 4
+"""How many times the slots a wider search has: few points need it, and theirs may border on crowded cells."""
+
 _BISECTIONS = 14
 
 
@@ -20,7 +26,7 @@ class Neighbourhoods(eqx.Module):
     Attributes:
         covariances: (M, 6) upper triangles xx xy xz yy yz zz, square metres.
         counts: (M,) points they come from, the point itself among them.
-        missed: candidates that did not fit the slots, over all points.
+        missed: candidates without a slot, over all points whose covariance they could have changed.
     """
 
     covariances: Float[Array, "M 6"]
@@ -34,6 +40,7 @@ def neighbourhoods(
     size: Float[Array, ""],
     *,
     k: int,
+    enough: int,
     slots: int,
     doublings: int,
 ) -> Neighbourhoods:
@@ -49,56 +56,81 @@ def neighbourhoods(
         valid: which points there are.
         size: edge of the first cells.
         k: neighbours; static.
-        slots: most candidates for one point, twice as many in doubled cells; static.
+        enough: neighbours that will do where crowded cells begin before the k-th; static.
+        slots: most candidates for one point, `WIDENING` times as many in wider cells; static.
         doublings: how often cells are doubled; static.
     """
-    count = points.shape[0]
-    padding = -count % _BLOCK
-    queries = jnp.pad(points, ((0, padding), (0, 0))).reshape(-1, _BLOCK, 3).swapaxes(1, 2)
-    wanted = jnp.pad(valid, (0, padding)).reshape(-1, _BLOCK)
-    grids = [build_hash(points, valid, size * 2**doubling) for doubling in range(doublings + 1)]
+    found = _search(build_hash(points, valid, size), points, valid, k=k, slots=slots, block=_BLOCK)
 
-    def block(inputs: tuple[Array, Array]) -> _Found:
-        block_queries, block_wanted = inputs
-        dtype = points.dtype
-        found = _Found(jnp.zeros((6, _BLOCK), dtype), jnp.zeros(_BLOCK, dtype), jnp.zeros(_BLOCK, jnp.int32))
-        for doubling, grid in enumerate(grids):
-            room = slots if doubling == 0 else min(2 * slots, MAX_SLOTS)
-            # Empty blocks cost nothing, nor do wider cells where the first ones held enough.
-            short = block_wanted & (found.counts < k)
-            found = lax.cond(
-                jnp.any(short),
-                lambda f, short=short, grid=grid, room=room: _choose(
-                    short, _around(grid, block_queries, k, room), f
-                ),
-                lambda f: f,
-                found,
-            )
-        return found
+    def widen(found: _Found, factor: Array) -> tuple[_Found, None]:
+        short = valid & (found.counts < k)
+        # The points that need it come first: they fill few blocks, and the others cost nothing.
+        order = stable_order((~short).astype(jnp.uint32))
+        rank = jnp.zeros_like(order).at[order].set(jnp.arange(len(order), dtype=order.dtype))
+        wider = _search(
+            build_hash(points, valid, size * factor),
+            points[order],
+            short[order],
+            k=k,
+            slots=WIDENING * slots,
+            block=_BLOCK // WIDENING,
+        )
+        wider = jax.tree.map(lambda values: values[rank], wider)
+        # Too many candidates for the slots: the few neighbours found nearer by are better than wrong ones.
+        better = short & (wider.missed == 0)
+        return _Found(
+            jnp.where(better[:, None], wider.covariances, found.covariances),
+            jnp.where(better, wider.counts, found.counts),
+            jnp.where(short, wider.missed, found.missed),
+        ), None
 
-    found = lax.map(block, (queries, wanted))
-    counts = jnp.where(valid, found.counts.reshape(-1)[:count], 0).astype(jnp.int32)
-    covariances = found.covariances.swapaxes(1, 2).reshape(-1, 6)[:count]
-    return Neighbourhoods(
-        jnp.where(valid[:, None], covariances, 0),
-        counts,
-        jnp.sum(jnp.where(wanted, found.missed, 0), dtype=jnp.int32),
-    )
+    if doublings:
+        found, _ = lax.scan(widen, found, 2.0 ** jnp.arange(1, doublings + 1, dtype=size.dtype))
+    done_with_fewer = (found.counts >= enough) & (found.counts < k)
+    missed = jnp.sum(jnp.where(done_with_fewer, 0, found.missed), dtype=jnp.int32)
+    return Neighbourhoods(found.covariances, found.counts.astype(jnp.int32), missed)
 
 
 class _Found(eqx.Module):
-    """What one block of points found: covariances, counts, and candidates beyond the slots."""
+    """What each point found: covariances, counts, candidates beyond the slots; 0 where none was wanted."""
 
-    covariances: Float[Array, "6 Q"]
-    counts: Float[Array, " Q"]
-    missed: Int[Array, " Q"]
-
-
-def _choose(first: Bool[Array, " Q"], a: _Found, b: _Found) -> _Found:
-    return jax.tree.map(lambda x, y: jnp.where(first, x, y), a, b)
+    covariances: Float[Array, "M 6"]
+    counts: Float[Array, " M"]
+    missed: Int[Array, " M"]
 
 
-def _around(grid: SpatialHash, queries: Float[Array, "3 Q"], k: int, slots: int) -> _Found:
+def _search(
+    grid: SpatialHash,
+    queries: Float[Array, "M 3"],
+    wanted: Bool[Array, " M"],
+    *,
+    k: int,
+    slots: int,
+    block: int,
+) -> _Found:
+    """Search around the queries that are wanted, a block at a time; a block without any is skipped."""
+    count = queries.shape[0]
+    padding = -count % block
+    blocks = jnp.pad(queries, ((0, padding), (0, 0))).reshape(-1, block, 3).swapaxes(1, 2)
+    wanted_blocks = jnp.pad(wanted, (0, padding)).reshape(-1, block)
+
+    def search(inputs: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        dtype = queries.dtype
+        nothing = jnp.zeros((6, block), dtype), jnp.zeros(block, dtype), jnp.zeros(block, jnp.int32)
+        return lax.cond(jnp.any(inputs[1]), lambda: _around(grid, inputs[0], k, slots), lambda: nothing)
+
+    covariances, counts, missed = lax.map(search, (blocks, wanted_blocks))
+    return _Found(
+        jnp.where(wanted[:, None], covariances.swapaxes(1, 2).reshape(-1, 6)[:count], 0),
+        jnp.where(wanted, counts.reshape(-1)[:count], 0),
+        jnp.where(wanted, missed.reshape(-1)[:count], 0),
+    )
+
+
+def _around(
+    grid: SpatialHash, queries: Float[Array, "3 Q"], k: int, slots: int
+) -> tuple[Float[Array, "6 Q"], Float[Array, " Q"], Int[Array, " Q"]]:
+    """Covariances, counts, and candidates that found no slot."""
     runs = neighbouring_runs(grid, queries)
     slot = jnp.arange(slots, dtype=jnp.int32)[:, None]
     inside = slot < runs.ends[-1]
@@ -117,7 +149,7 @@ def _around(grid: SpatialHash, queries: Float[Array, "3 Q"], k: int, slots: int)
         jnp.sum(a * b, axis=0) * scale - means[i] * means[j]
         for (i, a), (j, b) in combinations_with_replacement(enumerate((x, y, z)), 2)
     ]
-    return _Found(jnp.stack(covariances), count, jnp.maximum(runs.ends[-1] - slots, 0))
+    return jnp.stack(covariances), count, jnp.maximum(runs.ends[-1] - slots, 0)
 
 
 def _kth_smallest(values: Float[Array, "S Q"], k: int, largest: Float[Array, ""]) -> Float[Array, " Q"]:

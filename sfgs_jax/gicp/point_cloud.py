@@ -50,8 +50,9 @@ class PointCloud(eqx.Module):
     Attributes:
         levels: from the finest to the coarsest.
         origin: (3,) what the levels' coordinates are relative to, metres.
-        overflow: what the capacities had no room for: points beyond `PointsConfig.max_points` voxels or
-            beyond the grid, and neighbours beyond `PointsConfig.slots`. 0 if nothing is missing.
+        overflow: what was lost for want of room, over all levels: points beyond `PointsConfig.max_points`
+            voxels or beyond the grid, and neighbours beyond `PointsConfig.slots` that a normal would have
+            changed with. 0 if nothing was.
     """
 
     levels: tuple[PointLevel, ...]
@@ -130,10 +131,10 @@ def _prepare_points(
 ) -> PointCloud:
     nothing = jnp.zeros((points.shape[0], 0), points.dtype)
     levels, overflow = [], jnp.asarray(0, jnp.int32)
-    for i, means in enumerate(voxel_levels(points, nothing, valid, config)):
+    for means in voxel_levels(points, nothing, valid, config):
         level, missed = plane_level(means, k, config)
         levels.append(level)
-        overflow += missed + (means.dropped if i == 0 else 0)
+        overflow += missed + means.dropped
     return PointCloud(tuple(levels), origin, overflow)
 
 
@@ -169,11 +170,18 @@ def _fitting_size(
 
 def plane_level(means: VoxelMeans, k: int, config: PointsConfig) -> tuple[PointLevel, Int[Array, ""]]:
     """A level whose covariances are those of the k nearest neighbours, and the neighbours without a slot."""
+    enough = min(k, config.min_neighbours)
     found = neighbourhoods(
-        means.points, means.valid, 2 * means.size, k=k, slots=config.slots, doublings=config.doublings
+        means.points,
+        means.valid,
+        2 * means.size,
+        k=k,
+        enough=enough,
+        slots=config.slots,
+        doublings=config.doublings,
     )
-    enough = found.counts >= min(k, config.min_neighbours)
-    return level_of(means, found.covariances.T, means.valid & enough, "neighbours", config), found.missed
+    valid = means.valid & (found.counts >= enough)
+    return level_of(means, found.covariances.T, valid, "neighbours", config), found.missed
 
 
 def level_of(

@@ -105,7 +105,7 @@ def test_covariances_are_those_of_the_k_nearest(rng):
     points = surface_points(rng, 4000)
     valid = rng.random(4000) < 0.8
     found = neighbourhoods(
-        jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.15), k=20, slots=250, doublings=0
+        jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.15), k=20, enough=6, slots=250, doublings=0
     )
     kept = points[valid].astype(np.float64)
     distance, index = cKDTree(kept).query(kept, k=20)
@@ -126,14 +126,34 @@ def test_covariances_are_those_of_the_k_nearest(rng):
 def test_sparse_points_are_looked_for_farther_away(rng):
     points = jnp.asarray(surface_points(rng, 300))
     arguments = points, jnp.ones(300, bool), jnp.asarray(0.1)
-    near = neighbourhoods(*arguments, k=20, slots=96, doublings=0)
-    wide = neighbourhoods(*arguments, k=20, slots=96, doublings=2)
+    near = neighbourhoods(*arguments, k=20, enough=6, slots=96, doublings=0)
+    wide = neighbourhoods(*arguments, k=20, enough=6, slots=96, doublings=2)
     assert np.median(near.counts) < 20
     assert np.mean(np.asarray(wide.counts) >= 20) > 0.95
+    assert wide.missed == 0
+
+
+def test_a_crowd_farther_away_spoils_no_neighbourhood(rng):
+    """The end of a sparse line before a crowd keeps the few neighbours it has, if they are enough."""
+    line = np.column_stack([np.linspace(0, 1, 11), np.zeros(11), np.zeros(11)])
+    crowd = rng.uniform(0, 0.1, size=(1500, 3))
+    crowd[:, 0] += 1.4
+    points = jnp.asarray(np.concatenate([line, crowd]), jnp.float32)
+    arguments = points, jnp.ones(len(points), bool), jnp.asarray(0.3)
+    near = neighbourhoods(*arguments, k=12, enough=4, slots=64, doublings=0)
+    found = neighbourhoods(*arguments, k=12, enough=4, slots=64, doublings=1)
+    end = slice(7, 10)  # the crowd is in the next of the doubled cells
+    assert np.all(np.asarray(near.counts[end]) < 12)
+    np.testing.assert_array_equal(found.counts[end], near.counts[end])
+    np.testing.assert_allclose(found.covariances[end], near.covariances[end])
+    assert found.missed == near.missed  # the crowd's own
+    assert neighbourhoods(*arguments, k=12, enough=12, slots=64, doublings=1).missed > found.missed
 
 
 def test_full_slots_are_reported(rng):
     points = jnp.asarray(surface_points(rng, 2000))
-    found = neighbourhoods(points, jnp.ones(2000, bool), jnp.asarray(0.5), k=20, slots=32, doublings=0)
+    found = neighbourhoods(
+        points, jnp.ones(2000, bool), jnp.asarray(0.5), k=20, enough=6, slots=32, doublings=0
+    )
     assert found.missed > 1000
     assert all(bool(np.all(np.isfinite(leaf))) for leaf in jax.tree.leaves(found))
