@@ -2,9 +2,9 @@
 
 When all factors are relative, the cost does not change as all poses move as one rigid body. Fixing one pose
 settles where that body is, but makes it hard to solve for: what turns the body about that pose costs next to
-nothing yet moves far poses a long way, which neither a linear model nor float32 can follow. So the solver lets
-the anchor go, takes the short steps that damping alone singles out, and in the end moves the whole body to
-where the anchor is back in its place.
+nothing yet moves far poses a long way, which neither a linear model nor float32 can follow. So the solver
+lets the anchor go, takes the short steps that damping alone singles out, and in the end moves the whole body
+to where the anchor is back in its place.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from sfgs_jax.geometry import se3
 
 
 def find_anchor(factors: Sequence[Factor], free_poses: Bool[np.ndarray, " P"]) -> Int[np.ndarray, ""] | None:
-    """The only fixed pose of a connected graph whose factors are all relative; None if it is not such a graph."""
+    """The only fixed pose of a connected graph whose factors are all relative; None of any other graph."""
     if not all(factor.relative for factor in factors):
         return None
     ends = np.concatenate([np.zeros((0, 2), np.int32), *(f.groups[f.group_valid] for f in factors)])

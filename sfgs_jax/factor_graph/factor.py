@@ -179,11 +179,11 @@ class Factor(eqx.Module):
 
     def robust(self, square: Float[Array, " N"]) -> Float[Array, " N"]:
         """`kernel_rho` of this block."""
-        return kernel_rho(square, self.kernel, self.kernel_width.astype(square.dtype))
+        return kernel_rho(square, self.kernel, jnp.asarray(self.kernel_width, square.dtype))
 
     def robust_weight(self, square: Float[Array, " N"]) -> Float[Array, " N"]:
         """`kernel_weight` of this block, 0 where masked."""
-        weight = kernel_weight(square, self.kernel, self.kernel_width.astype(square.dtype))
+        weight = kernel_weight(square, self.kernel, jnp.asarray(self.kernel_width, square.dtype))
         return jnp.where(jnp.asarray(self.valid), weight, 0)
 
     def terms(self, values: Values) -> Terms:

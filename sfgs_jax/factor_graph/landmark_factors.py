@@ -27,6 +27,29 @@ class _Observation(Factor):
     and nothing pulls on one that is there already.
     """
 
+    pixels: Float[Array, "N 2"]
+    sigma: Float[Array, " N"]
+    camera: Camera
+
+    def _set_pixels(
+        self,
+        poses: Any,
+        landmarks: Any,
+        pixels: Any,
+        camera: Camera,
+        sigma: Any,
+        valid: Any,
+        kernel: Kernel,
+        width: Any,
+    ) -> None:
+        self._set_rows(np.asarray(poses).reshape(-1, 1), landmarks, valid, kernel, width)
+        self.pixels = jnp.asarray(pixels)
+        self.sigma = self._by_row(sigma)
+        self.camera = jax.tree.map(lambda x: x.astype(self.pixels.dtype), camera)
+
+    def _by_row(self, given: Any) -> Float[Array, " N"]:
+        return jnp.broadcast_to(jnp.asarray(given, self.pixels.dtype), (len(self.poses),))
+
     def residual(self, row: Any, poses: jaxlie.SE3, landmark: Float[Array, "3"] | None) -> Float[Array, " R"]:
         """Predicted minus measured."""
         assert landmark is not None
@@ -94,10 +117,6 @@ class Reprojection(_Observation):
         camera: intrinsics of all rows.
     """
 
-    pixels: Float[Array, "N 2"]
-    sigma: Float[Array, " N"]
-    camera: Camera
-
     def __init__(
         self,
         poses: Any,
@@ -122,10 +141,7 @@ class Reprojection(_Observation):
             kernel: robust kernel.
             kernel_width: its width in standard deviations.
         """
-        self._set_rows(np.asarray(poses).reshape(-1, 1), landmarks, valid, kernel, kernel_width)
-        self.pixels = jnp.asarray(pixels)
-        self.sigma = jnp.broadcast_to(jnp.asarray(sigma, self.pixels.dtype), (len(self.poses),))
-        self.camera = jax.tree.map(lambda x: x.astype(self.pixels.dtype), camera)
+        self._set_pixels(poses, landmarks, pixels, camera, sigma, valid, kernel, kernel_width)
 
     def measurements(self) -> Any:
         """Pixels and their deviations."""
@@ -153,11 +169,8 @@ class RgbdReprojection(_Observation):
         camera: intrinsics of all rows.
     """
 
-    pixels: Float[Array, "N 2"]
     depth: Float[Array, " N"]
-    sigma: Float[Array, " N"]
     inverse_depth_sigma: Float[Array, " N"]
-    camera: Camera
 
     def __init__(
         self,
@@ -187,15 +200,9 @@ class RgbdReprojection(_Observation):
             kernel: robust kernel.
             kernel_width: its width in standard deviations.
         """
-        self._set_rows(np.asarray(poses).reshape(-1, 1), landmarks, valid, kernel, kernel_width)
-        count = (len(self.poses),)
-        self.pixels = jnp.asarray(pixels)
+        self._set_pixels(poses, landmarks, pixels, camera, sigma, valid, kernel, kernel_width)
         self.depth = jnp.asarray(depth, self.pixels.dtype)
-        self.sigma = jnp.broadcast_to(jnp.asarray(sigma, self.pixels.dtype), count)
-        self.inverse_depth_sigma = jnp.broadcast_to(
-            jnp.asarray(inverse_depth_sigma, self.pixels.dtype), count
-        )
-        self.camera = jax.tree.map(lambda x: x.astype(self.pixels.dtype), camera)
+        self.inverse_depth_sigma = self._by_row(inverse_depth_sigma)
 
     def measurements(self) -> Any:
         """Pixels, depths and their deviations."""

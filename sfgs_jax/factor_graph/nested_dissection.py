@@ -197,12 +197,12 @@ def _levels(
             depth_of[node.own] = depth
     known = given[::-1] if len(given) == len(depths) else ((0, 0, 0),) * len(depths)
     owns = [
-        max(1, capacity_for(max((len(n.own) for n in nodes), default=0), size[0]))
+        capacity_for(_with_room(max((len(n.own) for n in nodes), default=0)), size[0])
         for nodes, size in zip(depths, known, strict=True)
     ]
     bounds = [
-        capacity_for(max((len(n.boundary) for n in nodes), default=0), size[1])
-        for nodes, size in zip(depths, known, strict=True)
+        capacity_for(_with_room(max(len(n.boundary) for n in nodes)), size[1]) if depth and nodes else size[1]
+        for depth, (nodes, size) in enumerate(zip(depths, known, strict=True))
     ]
     used = rows < num_poses
     first = np.where(order[rows] < order[columns], rows, columns)
@@ -243,10 +243,15 @@ def _levels(
             ]
         )
         sources = np.concatenate([poses, slots[here]])
-        unused = capacity_for(len(sources), known[depth][2]) - len(sources)
+        unused = capacity_for(_with_room(len(sources)), known[depth][2]) - len(sources)
         sources = np.append(sources, np.full(unused, num_poses + len(rows)))
         places = np.append(places, np.full(unused, count * (o + b) * o))
         levels.append(
             Level(own, boundary, sources.astype(np.int32), places.astype(np.int32), parent, positions)
         )
     return tuple(levels)
+
+
+def _with_room(count: int) -> int:
+    """The next multiple of four beyond: a pose more or less seldom needs another size."""
+    return 4 * (count // 4 + 1)

@@ -42,10 +42,13 @@ class _State(eqx.Module):
 
 
 class _Trial(eqx.Module):
+    """Where a share of a step leads, and the share to try next."""
+
     values: Values
     losses: Losses
     drop: Float[Array, ""]
     gain: Float[Array, ""]
+    share: Float[Array, ""]
 
 
 class Step(eqx.Module):
@@ -141,8 +144,7 @@ def _solve(graph: FactorGraph, values: Values, config: SolverConfig) -> Solution
         back = move_back(solution.values, values, graph.anchor, free)
         return eqx.tree_at(lambda s: s.values, solution, back)
     dtype = values.poses.wxyz_xyz.dtype
-    losses = all_losses(graph, values)
-    start = jnp.isfinite(_cost(losses, values))
+    losses = tuple(jnp.zeros(len(factor.valid), dtype) for factor in graph.factors)
     empty = jnp.full(config.max_iterations, jnp.nan, dtype)
     state = _State(
         values,
@@ -150,7 +152,7 @@ def _solve(graph: FactorGraph, values: Values, config: SolverConfig) -> Solution
         jnp.asarray(config.initial_damping if config.method == "levenberg_marquardt" else 0, dtype),
         jnp.asarray(2, dtype),
         jnp.asarray(0),
-        jnp.where(start, _RUNNING, Status.DIVERGED.value),
+        jnp.asarray(_RUNNING),
         jnp.asarray(False),
         Statistics(empty, empty, empty, empty, jnp.zeros(config.max_iterations, bool)),
     )
@@ -180,17 +182,11 @@ def _iterate(graph: FactorGraph, config: SolverConfig, state: _State) -> _State:
     marquardt = config.method == "levenberg_marquardt"
     equations = linearise(graph, state.values)
     step = compute_step(graph, equations, state.damping, config)
-    current = _cost(state.losses, state.values)
-    one = jnp.ones((), current.dtype)
-    trial = _try(graph, state, step, one)
-    if marquardt:
-        # Where the cost curves more than its model does, the step leads too far.
-        share = _lowest(step, trial.drop)
-        trial = lax.cond(
-            share < LONG_ENOUGH,
-            lambda: _better(trial, _try(graph, state, step, share)),
-            lambda: trial,
-        )
+    # The first step starts from what the factors are linearised at, the others where the last one led.
+    begun = state.iteration > 0
+    before = tuple(_select(begun, a, b) for a, b in zip(state.losses, equations.losses, strict=True))
+    current = _cost(before, state.values)
+    trial = _descend(graph, state.values, before, step, tries=2 if marquardt else 1)
     moved, losses, drop, gain = trial.values, trial.losses, trial.drop, trial.gain
     finite = step.finite & jnp.isfinite(drop)
     small = step.expected <= config.cost_tolerance * current
@@ -213,6 +209,7 @@ def _iterate(graph: FactorGraph, config: SolverConfig, state: _State) -> _State:
         unsolved = jnp.where(step.finite, Status.DIVERGED.value, Status.SINGULAR.value)
         failed = jnp.where(accepted, _RUNNING, unsolved)
     status = jnp.where(done, Status.CONVERGED.value, failed)
+    status = jnp.where(jnp.isfinite(current), status, Status.DIVERGED.value)
     undetermined = equations.undetermined
     if not marquardt:
         undetermined |= step.deficient
@@ -224,27 +221,36 @@ def _iterate(graph: FactorGraph, config: SolverConfig, state: _State) -> _State:
         old.step.at[i].set(largest),
         old.accepted.at[i].set(accepted),
     )
-    values, losses = _select(accepted, (moved, losses), (state.values, state.losses))
+    values, losses = _select(accepted, (moved, losses), (state.values, before))
     return _State(values, losses, damping, growth, i + 1, status, undetermined, statistics)
 
 
-def _try(graph: FactorGraph, state: _State, step: Step, share: Float[Array, ""]) -> _Trial:
-    values = retract(state.values, share * step.poses, share * step.landmarks)
-    losses = all_losses(graph, values)
-    drop = _drop(state.losses, losses, values)
-    expected = share * step.slope - share**2 * (step.slope - step.expected)
-    return _Trial(values, losses, drop, drop / jnp.where(expected > 0, expected, 1))
+def _descend(graph: FactorGraph, values: Values, before: Losses, step: Step, *, tries: int) -> _Trial:
+    """The whole step, or a share of it if that is better.
 
+    Where the cost curves more than its model does, the step leads too far. The second try goes to the lowest
+    point of the parabola that has the cost at both ends of the first and its slope at the beginning.
+    """
+    zero = jnp.zeros((), step.slope.dtype)
 
-def _lowest(step: Step, drop: Float[Array, ""]) -> Float[Array, ""]:
-    """Share of the step at which a parabola through the cost at both ends, with its slope, is lowest."""
-    beyond = step.slope - drop
-    share = step.slope / (2 * jnp.where(beyond > 0, beyond, jnp.inf))
-    return lax.stop_gradient(jnp.where(beyond > 0, jnp.clip(share, LEAST_STEP, 1), 1))
+    def evaluate(best: _Trial) -> _Trial:
+        share = best.share
+        moved = retract(values, share * step.poses, share * step.landmarks)
+        losses = all_losses(graph, moved)
+        drop = _drop(before, losses, values)
+        expected = share * step.slope - share**2 * (step.slope - step.expected)
+        beyond = step.slope - drop
+        lowest = step.slope / (2 * jnp.where(beyond > 0, beyond, jnp.inf))
+        following = lax.stop_gradient(jnp.where(beyond > 0, jnp.clip(lowest, LEAST_STEP, 1), 1))
+        tried = _Trial(moved, losses, drop, drop / jnp.where(expected > 0, expected, 1), following)
+        worse = best.drop >= drop
+        return _select(worse, eqx.tree_at(lambda t: t.share, best, following), tried)
 
+    def attempt(best: _Trial, first: Bool[Array, ""]) -> tuple[_Trial, None]:
+        return lax.cond(first | (best.share < LONG_ENOUGH), evaluate, lambda t: t, best), None
 
-def _better(a: _Trial, b: _Trial) -> _Trial:
-    return _select(b.drop > a.drop, b, a)
+    nowhere = _Trial(values, before, zero - jnp.inf, zero, zero + 1)
+    return lax.scan(attempt, nowhere, jnp.arange(tries) == 0)[0]
 
 
 def _select(condition: Bool[Array, ""], a: _T, b: _T) -> _T:

@@ -14,16 +14,35 @@ from sfgs_jax.factor_graph.values import Values
 from sfgs_jax.geometry import Kernel, se3
 
 
-class PosePrior(Factor):
+class _MeasuredMotion(Factor):
+    """Rows with a measured motion Z and the information of the residual's tangent."""
+
+    measured: jaxlie.SE3
+    matrices: Float[Array, "N 6 6"]
+
+    def _set_motions(
+        self, poses: Any, measured: jaxlie.SE3, information: Any, valid: Any, kernel: Kernel, width: Any
+    ) -> None:
+        self._set_rows(poses, None, valid, kernel, width)
+        self.measured = measured
+        self.matrices = jnp.broadcast_to(jnp.asarray(information), (len(self.poses), 6, 6))
+
+    def measurements(self) -> Any:
+        """Motions and information."""
+        return self.measured, self.matrices
+
+    def information(self, rows: Any) -> Float[Array, "N 6 6"]:
+        """As given."""
+        return rows[1]
+
+
+class PosePrior(_MeasuredMotion):
     """Poses known beforehand: residual log(Z^-1 T), 6 rows, translation first.
 
     Attributes:
-        T_world_pose: (N,) measured poses Z.
+        measured: (N,) poses Z.
         matrices: (N, 6, 6) information of the residual's tangent.
     """
-
-    T_world_pose: jaxlie.SE3
-    matrices: Float[Array, "N 6 6"]
 
     def __init__(
         self,
@@ -45,17 +64,13 @@ class PosePrior(Factor):
             kernel: robust kernel.
             kernel_width: its width in standard deviations.
         """
-        self._set_rows(np.asarray(poses).reshape(-1, 1), None, valid, kernel, kernel_width)
-        self.T_world_pose = T_world_pose
-        self.matrices = jnp.broadcast_to(jnp.asarray(information), (len(self.poses), 6, 6))
+        poses = np.asarray(poses).reshape(-1, 1)
+        self._set_motions(poses, T_world_pose, information, valid, kernel, kernel_width)
 
-    def measurements(self) -> Any:
-        """Poses and information."""
-        return self.T_world_pose, self.matrices
-
-    def information(self, rows: Any) -> Float[Array, "N 6 6"]:
-        """As given."""
-        return rows[1]
+    @property
+    def T_world_pose(self) -> jaxlie.SE3:
+        """(N,) measured poses Z."""
+        return self.measured
 
     def residual(self, row: Any, poses: jaxlie.SE3, landmark: Float[Array, "3"] | None) -> Float[Array, "6"]:
         """log(Z^-1 T)."""
@@ -70,20 +85,18 @@ class PosePrior(Factor):
         return Linearised(residual, inverse_right_jacobian(residual), None, jnp.moveaxis(rows[1], 0, -1))
 
 
-class RelativePose(Factor):
+class RelativePose(_MeasuredMotion):
     """Measured motions between two poses: residual log(Z^-1 T_a^-1 T_b), 6 rows, translation first.
 
     GICP odometry and loop closures are of this kind: Z is `T_a_b` and its information the one that the
     registration of source b onto target a returns.
 
     Attributes:
-        T_a_b: (N,) measured motions Z.
+        measured: (N,) motions Z.
         matrices: (N, 6, 6) information of the residual's tangent.
     """
 
     relative: ClassVar[bool] = True
-    T_a_b: jaxlie.SE3
-    matrices: Float[Array, "N 6 6"]
 
     def __init__(
         self,
@@ -105,17 +118,12 @@ class RelativePose(Factor):
             kernel: robust kernel.
             kernel_width: its width in standard deviations.
         """
-        self._set_rows(poses, None, valid, kernel, kernel_width)
-        self.T_a_b = T_a_b
-        self.matrices = jnp.broadcast_to(jnp.asarray(information), (len(self.poses), 6, 6))
+        self._set_motions(poses, T_a_b, information, valid, kernel, kernel_width)
 
-    def measurements(self) -> Any:
-        """Motions and information."""
-        return self.T_a_b, self.matrices
-
-    def information(self, rows: Any) -> Float[Array, "N 6 6"]:
-        """As given."""
-        return rows[1]
+    @property
+    def T_a_b(self) -> jaxlie.SE3:
+        """(N,) measured motions Z."""
+        return self.measured
 
     def residual(self, row: Any, poses: jaxlie.SE3, landmark: Float[Array, "3"] | None) -> Float[Array, "6"]:
         """log(Z^-1 T_a^-1 T_b)."""

@@ -11,22 +11,27 @@ from sfgs_jax.geometry import Camera, se3
 CAMERA = Camera(500.0, 510.0, 320.0, 240.0, width=640, height=480)
 
 
+# One program for each instead of one for each operation.
+exp, compose, inverse = jax.jit(se3.exp), jax.jit(se3.compose), jax.jit(se3.inverse)
+project = jax.jit(lambda camera, points: camera.project(points))
+
+
 def dtype():
     return jnp.result_type(float)
 
 
 def random_poses(rng, n: int, scale: float = 0.3) -> jaxlie.SE3:
-    return se3.exp(jnp.asarray(rng.normal(scale=scale, size=(n, 6)), dtype()))
+    return exp(jnp.asarray(rng.normal(scale=scale, size=(n, 6)), dtype()))
 
 
 def perturb(poses: jaxlie.SE3, rng, scale: float) -> jaxlie.SE3:
     noise = rng.normal(scale=scale, size=(poses.wxyz_xyz.shape[0], 6))
-    return se3.compose(poses, se3.exp(jnp.asarray(noise, dtype())))
+    return compose(poses, exp(jnp.asarray(noise, dtype())))
 
 
 def between(poses: jaxlie.SE3, ends) -> jaxlie.SE3:
     a, b = (jaxlie.SE3(poses.wxyz_xyz[np.asarray(ends)[:, i]]) for i in range(2))
-    return se3.compose(se3.inverse(a), b)
+    return compose(inverse(a), b)
 
 
 def eye(*diagonal: float):
@@ -38,7 +43,7 @@ def bundle(rng, poses: int = 6, landmarks: int = 40, noise: float = 0.5, share: 
     tangents = np.zeros((poses, 6))
     tangents[:, 0] = 0.2 * np.arange(poses)
     tangents[:, 3:] = rng.normal(scale=0.03, size=(poses, 3))
-    truth = se3.exp(jnp.asarray(tangents, dtype()))
+    truth = exp(jnp.asarray(tangents, dtype()))
     points = rng.uniform([-1.5, -1, 2], [2.5, 1, 5], (landmarks, 3))
     camera, landmark = (x.reshape(-1) for x in np.mgrid[:poses, :landmarks])
     seen = rng.uniform(size=len(camera)) < share
@@ -46,7 +51,7 @@ def bundle(rng, poses: int = 6, landmarks: int = 40, noise: float = 0.5, share: 
     matrices = np.linalg.inv(se3.to_matrices(truth))[camera]
     local = np.einsum("nij,nj->ni", matrices[:, :3, :3], points[landmark]) + matrices[:, :3, 3]
     camera_of_type = jax.tree.map(lambda x: x.astype(dtype()), CAMERA)
-    pixels = np.asarray(camera_of_type.project(jnp.asarray(local, dtype())))
+    pixels = np.asarray(project(camera_of_type, jnp.asarray(local, dtype())))
     pixels = pixels + rng.normal(scale=noise, size=pixels.shape)
     ends = np.stack([np.arange(poses - 1), np.arange(1, poses)], axis=1)
     factors = [
@@ -76,7 +81,7 @@ def ring(rng, n: int = 20, noise: float = 0.01, loops: int = 6, **options):
     information = eye(noise**-2, noise**-2)
     start = [truth.wxyz_xyz[0]]
     for i in range(n - 1):
-        start.append(se3.compose(jaxlie.SE3(start[-1]), jaxlie.SE3(measured.wxyz_xyz[i])).wxyz_xyz)
+        start.append(compose(jaxlie.SE3(start[-1]), jaxlie.SE3(measured.wxyz_xyz[i])).wxyz_xyz)
     factors = [
         PosePrior([0], jaxlie.SE3(truth.wxyz_xyz[:1]), eye(1e6, 1e6)),
         RelativePose(ends, measured, information),
