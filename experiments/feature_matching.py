@@ -2,8 +2,9 @@
 
     python -m experiments.feature_matching [--weights PATH] [--extractors NAME ...] [--recording DIR ...]
 
-Without options: RedKitchen's frames 300 to 599, the ScanNet pairs and changed photographs below SFGS_DATA, by
-default `../shared`. Relative poses are by RANSAC over essential matrices at 1 pixel; an accuracy is the share
+Without options: RedKitchen's frames 300 to 599, fr1_rpy, the ScanNet pairs and changed photographs below
+SFGS_DATA, by default `../shared`. Of fr1_rpy, whose camera turns but hardly moves, the rotation's error alone
+is taken. Relative poses are by RANSAC over essential matrices at 1 pixel; an accuracy is the share
 of pairs whose larger angular error, of rotation or of the translation's direction, is below the angle. RANSAC
 runs several times on each pair, with the matches in another order; behind ± is the standard deviation.
 Poses and focal lengths are the readers', so those of 7-Scenes are its colour camera's. The tables are in
@@ -45,14 +46,19 @@ from sfgs_jax.superfeats import Features
 
 DATA = Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared")) / "data"
 REDKITCHEN = str(DATA / "7scenes" / "redkitchen")
-TABLES = ("recording", "pairs", "planes")
+FR1_RPY = str(DATA / "tum" / "rgbd_dataset_freiburg1_rpy")
+TURNING_GAPS = (10, 15, 20)
+TABLES = ("recording", "turning", "pairs", "planes")
 PLANE_KEYPOINTS = 1024
 MEGADEPTH_PIXELS = 1200
 PIXELS = 640
 
 
-def of_recording(folder: str, options: ReaderOptions) -> list[PoseSample]:
-    """Frames 10, 20, 30 and 45 apart, at least 10 cm and at most 45 degrees, every 7th start."""
+def of_recording(folder: str, options: ReaderOptions, *, turning: bool = False) -> list[PoseSample]:
+    """Frames 10, 20, 30 and 45 apart, at least 10 cm and at most 45 degrees, every 7th start.
+
+    Of a camera that turns, `TURNING_GAPS` apart and at any distance.
+    """
     recording = open_recording(folder, options=options)
     K = np.asarray(recording.camera.matrix(), np.float64)
 
@@ -64,9 +70,14 @@ def of_recording(folder: str, options: ReaderOptions) -> list[PoseSample]:
         def features(extractor: Extractor) -> tuple[Features, Features]:
             return of_frame(extractor, pair.index_a), of_frame(extractor, pair.index_b)
 
-        return PoseSample(f"{pair.gap} frames", features, K, K, pair.T_b_a)
+        return PoseSample(f"{pair.gap} frames", features, K, K, pair.T_b_a, turning)
 
-    return [sample(pair) for pair in recording_pairs(recording)]
+    pairs = (
+        recording_pairs(recording, gaps=TURNING_GAPS, min_distance=0.0)
+        if turning
+        else recording_pairs(recording)
+    )
+    return [sample(pair) for pair in pairs]
 
 
 def of_photographs(pairs: Iterable[PosePair], longest: int) -> Iterator[PoseSample]:
@@ -120,6 +131,8 @@ def main() -> None:
                 poses(Path(folder).name, of_recording(folder, ReaderOptions()))
         else:
             poses("RedKitchen 300 to 599", of_recording(REDKITCHEN, ReaderOptions(start=300, end=600)))
+    if "turning" in arguments.tables:
+        poses("fr1_rpy, rotation alone", of_recording(FR1_RPY, ReaderOptions(), turning=True))
     if "pairs" in arguments.tables:
         poses(f"ScanNet at {PIXELS} pixels", of_photographs(read_scannet_1500(arguments.scannet), PIXELS))
         if arguments.megadepth:

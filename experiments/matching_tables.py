@@ -57,6 +57,7 @@ class PoseSample:
         K_a: (3, 3) calibration matrix of image a.
         K_b: (3, 3) that of image b.
         T_b_a: (4, 4) the true motion.
+        turning: only the rotation counts, because the camera hardly moves.
     """
 
     group: str
@@ -64,6 +65,7 @@ class PoseSample:
     K_a: np.ndarray
     K_b: np.ndarray
     T_b_a: np.ndarray
+    turning: bool = False
 
 
 @dataclass
@@ -81,7 +83,8 @@ def pose_table(samples: Iterable[PoseSample], extractors: Sequence[Extractor], *
         for extractor in extractors:
             a, b = extractor.matched(*sample.features(extractor))
             motions = [estimate_motion(a, b, sample.K_a, sample.K_b, seed=seed) for seed in range(seeds)]
-            errors = [pose_error(motion, sample.T_b_a).degrees for motion in motions]
+            both = [pose_error(motion, sample.T_b_a) for motion in motions]
+            errors = [error.rotation_deg if sample.turning else error.degrees for error in both]
             for group in {sample.group, TOTAL}:
                 figures = found.setdefault((extractor.name, group), _PoseFigures())
                 figures.errors.append(errors)

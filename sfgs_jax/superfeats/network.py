@@ -38,10 +38,10 @@ class NetworkConfig:
     channels: tuple[int, int, int, int] = (16, 32, 64, 96)
     """Of the description branch at 1/4, 1/8, 1/16 and 1/32."""
 
-    bottlenecks: tuple[int, int, int, int] = (1, 1, 2, 1)
+    bottlenecks: tuple[int, int, int, int] = (1, 1, 1, 1)
     """In the C2f block of each of these levels."""
 
-    context: int = 24
+    context: int = 16
     """Channels of the convolutional module of the detection branch."""
 
 
