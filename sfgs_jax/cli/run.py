@@ -150,13 +150,15 @@ def _run(options: RunArguments, recording: Recording, folder: Path) -> int:
             )
         except TooManySkipped as error:
             failure, result = error, error.run
+    if result.interrupted and not options.realtime:
+        watch.keep(result)
     written = _save(result, folder)
     if failure is not None:
         logger.error("%s", failure)
     if result.interrupted:
         print(
-            f"Interrupted after {result.num_frames} frames; what there is lies in {written}, "
-            "and --resume goes on.",
+            f"Interrupted after {result.num_frames} frames; what there is lies in {written}"
+            + ("." if options.realtime else ", and --resume goes on from there."),
             file=sys.stderr,
         )
         return 130
@@ -217,9 +219,10 @@ class _Watcher:
         rate = progress.done / result.stopwatch.elapsed
         self._report(progress.done, f"{rate:.1f} frames/s, {progress.num_gaussians} Gaussians{self._error}")
         if progress.done % CHECKPOINT_FRAMES == 0:
-            self._checkpoint(result)
+            self.keep(result)
 
-    def _checkpoint(self, result: Run) -> None:
+    def keep(self, result: Run) -> None:
+        """Write what there is so far; that it can't be written ends no run."""
         try:
             write_trajectories(result, self._folder)
             if self._keep_state:

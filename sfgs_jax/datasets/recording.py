@@ -13,7 +13,7 @@ class Recording(Protocol):
 
     Frames are decoded when asked for. `recording[i]` gives host arrays in float32: colour in [0, 1], and
     depth in metres registered to the colour camera, 0 where it is missing. It raises `FrameError` for a
-    frame that can't be used (truncated, unreadable, of another size, without any valid depth); the
+    frame that can't be used (truncated, unreadable, of another size); the
     recording stays usable.
     """
 

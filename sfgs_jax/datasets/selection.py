@@ -6,7 +6,7 @@ import numpy as np
 
 from sfgs_jax.datasets.options import ReaderOptions
 from sfgs_jax.datasets.recording import Recording
-from sfgs_jax.geometry import Camera, Frame, FrameError, InputError, Trajectory
+from sfgs_jax.geometry import Camera, Frame, InputError, Trajectory
 
 
 def select(recording: Recording, options: ReaderOptions) -> "Selection":
@@ -84,7 +84,4 @@ class Selection:
         depth = np.asarray(frame.depth)
         if self.max_depth is not None:
             depth = np.where(depth <= self.max_depth, depth, np.float32(0))
-        if not depth.any():
-            limit = "" if self.max_depth is None else f" within {self.max_depth:g} m"
-            raise FrameError(f"Frame {self.frames[index]} of {self.name} has no valid depth{limit}.")
         return Frame(frame.rgb, depth, frame.timestamp)

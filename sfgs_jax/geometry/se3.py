@@ -94,7 +94,12 @@ def from_matrix(matrix: Float[np.ndarray, "4 4"], dtype: jnp.dtype | type = jnp.
 
 def to_matrices(poses: jaxlie.SE3) -> Float[np.ndarray, "n 4 4"]:
     """Homogeneous matrices, float64 on the host, of a batch of n motions."""
-    parameters = np.asarray(poses.wxyz_xyz, np.float64)
+    return matrices_of(np.asarray(poses.wxyz_xyz))
+
+
+def matrices_of(parameters: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 4 4"]:
+    """The same of their parameters wxyz_xyz, without a device."""
+    parameters = np.asarray(parameters, np.float64)
     matrices = np.tile(np.eye(4), (len(parameters), 1, 1))
     matrices[:, :3, :3] = rotations_from_quaternions(parameters[:, :4])
     matrices[:, :3, 3] = parameters[:, 4:]

@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from sfgs_jax.geometry import Camera, Frame, FrameError, InputError, Trajectory
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.mapper import Mapper
@@ -48,6 +50,7 @@ class Run:
         num_frames: frames that were offered, those that could not be decoded included.
         num_skipped: frames that could not be decoded.
         num_dropped: frames that came while another was being tracked, in real time.
+        num_refined: optimisation steps done after the last frame.
         interrupted: whether it was ended before its source was.
         stopwatch: times of its stages.
     """
@@ -57,6 +60,7 @@ class Run:
     num_frames: int = 0
     num_skipped: int = 0
     num_dropped: int = 0
+    num_refined: int = 0
     interrupted: bool = False
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
 
@@ -97,6 +101,7 @@ def save_run(run: Run, folder: Path | str) -> None:
         num_frames=run.num_frames,
         num_skipped=run.num_skipped,
         num_dropped=run.num_dropped,
+        num_refined=run.num_refined,
     )
 
 
@@ -109,6 +114,7 @@ def load_run(folder: Path | str, config: SlamConfig) -> Run:
         num_frames=facts["num_frames"],
         num_skipped=facts["num_skipped"],
         num_dropped=facts["num_dropped"],
+        num_refined=facts["num_refined"],
     )
 
 
@@ -144,13 +150,13 @@ def run(
         TooManySkipped: too many frames could not be decoded; it carries the run so far.
     """
     result = resumed or Run(config, init(camera, config))
+    if realtime:
+        # The recording's clock starts with its first frame, and does not wait for a compiler.
+        _rehearse(camera, config)
     mapper = Mapper(result.state, result.stopwatch) if realtime else None
     try:
         for number, frame in frames:
-            # Numbers that are left out are frames that came too fast.
-            result.num_dropped += max(0, number - result.num_frames)
-            result.num_frames = max(result.num_frames, number) + 1
-            info = _advance(result, frame, mapper)
+            info = _advance(result, number, frame, mapper)
             if storage is not None and mapper is None:
                 result.state = spill(result.state, storage)
             skipped = frame if isinstance(frame, FrameError) else None
@@ -169,20 +175,34 @@ def run(
     return result
 
 
-def _advance(run: Run, frame: Frame | FrameError, mapper: Mapper | None) -> StepInfo | None:
-    if isinstance(frame, FrameError):
-        run.num_skipped += 1
-        return None
-    # The state numbers frames as the source does.
-    state = replace(run.state, num_frames=run.num_frames - 1)
-    with run.stopwatch("frame"):
-        if mapper is None:
-            run.state, info = step(state, frame, stages=run.stopwatch)
-        else:
-            with mapper.waiting():
-                run.state, info, view = follow(state, frame, stages=run.stopwatch)
-            if info.tracked:
-                mapper.learn(run.state, view)
+def _rehearse(camera: Camera, config: SlamConfig) -> None:
+    """A step on two frames of noise, for nothing but the programs that it compiles."""
+    rng = np.random.default_rng(0)
+    rgb = rng.random((*camera.shape, 3), np.float32)
+    state = init(camera, config)
+    for timestamp in (0.0, 1.0):
+        state, _ = step(state, Frame(rgb, np.full(camera.shape, 2.0, np.float32), timestamp))
+
+
+def _advance(run: Run, number: int, frame: Frame | FrameError, mapper: Mapper | None) -> StepInfo | None:
+    state, info = run.state, None
+    if not isinstance(frame, FrameError):
+        # The state numbers frames as the source does.
+        state = replace(state, num_frames=number)
+        with run.stopwatch("frame"):
+            if mapper is None:
+                state, info = step(state, frame, stages=run.stopwatch)
+            else:
+                with mapper.waiting():
+                    state, info, view = follow(state, frame, stages=run.stopwatch)
+                if info.tracked:
+                    mapper.learn(state, view)
+    # All at once, so that an interruption finds the frame either done or not begun. Numbers that were left
+    # out are frames that came too fast.
+    run.state = state
+    run.num_skipped += info is None
+    run.num_dropped += number - run.num_frames
+    run.num_frames = number + 1
     return info
 
 
@@ -199,13 +219,14 @@ def _refine(run: Run, observer: Callable[[Progress], None]) -> None:
     state, config = run.state, run.config
     if not state.mapping.views:
         return
-    for done in range(config.mapping.final_steps):
+    while run.num_refined < config.mapping.final_steps:
         with run.stopwatch("refinement"):
             mapping, _ = optimise_once(
                 run.state.mapping, state.mapping_camera, config.mapping, seed=config.seed
             )
         run.state = replace(run.state, mapping=mapping)
-        observer(Progress("refinement", done + 1, mapping.num_gaussians, None, None, run))
+        run.num_refined += 1
+        observer(Progress("refinement", run.num_refined, mapping.num_gaussians, None, None, run))
 
 
 def _check_skipped(run: Run) -> None:

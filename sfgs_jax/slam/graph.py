@@ -1,15 +1,15 @@
 """The graph of keyframes: registrations between them, and their poses by all of these."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from sfgs_jax.factor_graph import FactorGraph, RelativePose, SolverConfig, Status, Values, solve
-from sfgs_jax.geometry import se3
-from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.geometry import Kernel, se3
 from sfgs_jax.slam.registration import Carrier, Registration, register
 from sfgs_jax.slam.state import Edge, Keyframe, SlamState
 
@@ -27,7 +27,7 @@ def neighbours(state: SlamState) -> tuple[tuple[int, int], ...]:
     Judged by their poses: cameras near each other that look the same way.
     """
     config = state.config.graph
-    poses = se3.to_matrices(jaxlie.SE3(jnp.asarray(state.keyframe_poses)))
+    poses = se3.matrices_of(state.keyframe_poses)
     newest = len(poses) - 1
     known = {edge.target for edge in state.edges if edge.source == newest}
     distance = np.linalg.norm(poses[:newest, :3, 3] - poses[newest, :3, 3], axis=1)
@@ -67,17 +67,21 @@ def optimise_poses(state: SlamState) -> SlamState:
     if not state.edges:
         return state
     config = state.config.graph
-    room = config.capacity
-    while room < len(state.keyframes) or 2 * room < len(state.edges):
-        room *= 2
+    room = room_for(state)
+    kernels: tuple[Kernel, Kernel] = ("huber", "dynamic_covariance_scaling")
     factors = [
-        _relative_poses([e for e in state.edges if e.loop == loop], 2 * room, config, loop)
-        for loop in (False, True)
+        relative_poses(
+            [e for e in state.edges if e.loop == loop],
+            2 * room,
+            kernel=kernel,
+            kernel_width=config.kernel_width,
+        )
+        for loop, kernel in zip((False, True), kernels, strict=True)
     ]
     free = np.zeros(room, bool)
     free[1 : len(state.keyframes)] = True
     graph = FactorGraph(factors, num_poses=room, free_poses=free, linear_solver="dense")
-    solution = solve(graph, Values(jaxlie.SE3(_padded(state.keyframe_poses, room))), config=SOLVER)
+    solution = solve(graph, Values(jaxlie.SE3(padded_poses(state.keyframe_poses, room))), config=SOLVER)
     if int(solution.status) in (Status.DIVERGED, Status.SINGULAR):
         return state
     return with_poses(state, np.asarray(solution.values.poses.wxyz_xyz)[: len(state.keyframes)])
@@ -98,7 +102,9 @@ def travelled(keyframes: tuple[Keyframe, ...], start: int, end: int) -> float:
     return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
 
 
-def _relative_poses(edges: list[Edge], room: int, config: GraphConfig, loop: bool) -> RelativePose:
+def relative_poses(
+    edges: Sequence[Edge], room: int, *, kernel: Kernel = "none", kernel_width: float = 1.0
+) -> RelativePose:
     """The edges as one block of factors, padded."""
     count = len(edges)
     poses = np.zeros((room, 2), np.int32)
@@ -114,10 +120,19 @@ def _relative_poses(edges: list[Edge], room: int, config: GraphConfig, loop: boo
         jaxlie.SE3(jnp.asarray(motions)),
         jnp.asarray(information),
         valid=np.arange(room) < count,
-        kernel="dynamic_covariance_scaling" if loop else "huber",
-        kernel_width=config.kernel_width,
+        kernel=kernel,
+        kernel_width=kernel_width,
     )
 
 
-def _padded(poses: Float[np.ndarray, "n 7"], room: int) -> jnp.ndarray:
+def room_for(state: SlamState) -> int:
+    """Keyframes, and half the registrations, that the solver's arrays have room for."""
+    room = state.config.graph.capacity
+    while room < len(state.keyframes) or 2 * room < len(state.edges):
+        room *= 2
+    return room
+
+
+def padded_poses(poses: Float[np.ndarray, "n 7"], room: int) -> Float[Array, "room 7"]:
+    """Poses as wxyz_xyz, the last repeated until there are `room`."""
     return jnp.asarray(np.pad(poses, ((0, room - len(poses)), (0, 0)), mode="edge"))

@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from sfgs_jax.factor_graph import RelativePose, Values, consistent_loops
+from sfgs_jax.factor_graph import Values, consistent_loops
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.graph import travelled
+from sfgs_jax.slam.graph import padded_poses, relative_poses, room_for, travelled
 from sfgs_jax.slam.registration import Carrier, Registration
 from sfgs_jax.slam.state import Edge, SlamState
 from sfgs_jax.slam.tracking import similarities
@@ -57,16 +56,13 @@ def believe(state: SlamState) -> tuple[SlamState, bool]:
     candidates = state.candidates
     if len(candidates) < config.loop_support:
         return state, False
-    # The number of candidates is padded: what depends on it is on the host, but not its arithmetic.
-    factor = RelativePose(
-        np.asarray([(e.target, e.source) for e in candidates]),
-        jaxlie.SE3(jnp.stack([e.T_target_source.wxyz_xyz for e in candidates])),
-        jnp.stack([e.information for e in candidates]),
-    )
-    agreed = consistent_loops(factor, Values(jaxlie.SE3(jnp.asarray(state.keyframe_poses))))
+    poses = padded_poses(state.keyframe_poses, room_for(state))
+    agreed = consistent_loops(relative_poses(candidates, _REMEMBERED), Values(jaxlie.SE3(poses)))
     if agreed.sum() < config.loop_support:
         return state, False
-    closed = tuple(replace(e, loop=True) for e, good in zip(candidates, agreed, strict=True) if good)
+    closed = tuple(
+        replace(e, loop=True) for e, good in zip(candidates, agreed[: len(candidates)], strict=True) if good
+    )
     return replace(state, edges=(*state.edges, *closed), candidates=()), True
 
 

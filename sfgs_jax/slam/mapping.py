@@ -121,6 +121,12 @@ def optimise_once(
     return replace(mapping, map=optimised, num_steps=num_steps), float(loss)
 
 
+def warm_up(mapping: MapState, keyframe_poses: Float[np.ndarray, "n 7"]) -> None:
+    """Compile what only some of the later steps need."""
+    move(mapping.map, keyframe_poses, keyframe_poses)
+    prune(mapping.map, 0.0)
+
+
 def _pose(view: View, mapping: MapState) -> jaxlie.SE3:
     """`T_world_cam` of a view, by where its keyframe is."""
     keyframe = jaxlie.SE3(jnp.asarray(mapping.keyframe_poses[view.keyframe]))

@@ -92,8 +92,8 @@ def motion_from_keypoints(
         hessian / config.correlation,
         matches.index_b,
         inliers,
-        jnp.sum(valid),
-        jnp.sum(inliers),
+        jnp.sum(valid, dtype=jnp.int32),
+        jnp.sum(inliers, dtype=jnp.int32),
     )
 
 

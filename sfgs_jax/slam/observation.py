@@ -113,7 +113,7 @@ def signature(features: Features) -> Float[Array, " d"]:
     second-order pooling (ECCV 2012), with the power normalisation used for image retrieval.
     """
     part = jnp.where(features.valid[:, None], features.descriptors, 0)[:, :_SIGNATURE_SIZE]
-    count = jnp.maximum(jnp.sum(features.valid), 1)
+    count = jnp.maximum(jnp.sum(features.valid.astype(part.dtype)), 1)
     moments = (part.T @ part / count).reshape(-1)
     rooted = jnp.sign(moments) * jnp.sqrt(jnp.maximum(jnp.abs(moments), 1e-12))
     return jnp.where(jnp.any(features.valid), rooted / jnp.linalg.norm(rooted), 0)

@@ -81,8 +81,10 @@ def register(
     """
     features = config.features
     matched = motion_from_keypoints(source.keypoints, target.keypoints, guess, camera, features)
-    share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
-    keypoints = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
+    enough = matched.num_inliers.astype(float) >= features.min_inlier_share * matched.num_matches.astype(
+        float
+    )
+    keypoints = (matched.num_inliers >= features.min_inliers) & enough
     T = _choose(keypoints, matched.T_target_source, guess)
     if not config.use_surface:
         carrier = jnp.where(keypoints, int(Carrier.KEYPOINTS), int(Carrier.NONE))

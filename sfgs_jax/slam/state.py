@@ -1,7 +1,6 @@
 """The state of a run: one pytree, from which the next step follows."""
 
 import equinox as eqx
-import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
@@ -199,8 +198,7 @@ class SlamState(eqx.Module):
         """Poses of the tracked frames, by where their keyframes are now."""
         if not len(self.log.timestamps):
             return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-        keyframes = se3.to_matrices(jaxlie.SE3(jnp.asarray(self.keyframe_poses)))
-        motions = se3.to_matrices(jaxlie.SE3(jnp.asarray(self.log.motions)))
+        keyframes, motions = se3.matrices_of(self.keyframe_poses), se3.matrices_of(self.log.motions)
         return Trajectory(self.log.timestamps, keyframes[self.log.keyframes] @ motions)
 
 

@@ -14,9 +14,9 @@ from jaxtyping import Array, Float
 from sfgs_jax.geometry import Frame, clean_depth, se3
 from sfgs_jax.slam.graph import edge_of, is_edge, neighbours, optimise_poses, register_pair
 from sfgs_jax.slam.loops import believe, is_candidate, loop_pairs, with_candidate
-from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, view_of
+from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, view_of, warm_up
 from sfgs_jax.slam.observation import Observation, observe
-from sfgs_jax.slam.registration import Carrier
+from sfgs_jax.slam.registration import Carrier, register
 from sfgs_jax.slam.state import Keyframe, MapState, SlamState, View
 from sfgs_jax.slam.tracking import Tracking, has_left, motion_since, track
 from sfgs_jax.slam.window import optimise_window, share_landmarks
@@ -120,6 +120,7 @@ def follow(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> Follo
         if not _shows_something(observation):
             return Followed(replace(state, num_lost=state.num_lost + 1), _lost(state, None), None)
         state = _with_keyframe(state, observation, state.T_world_cam, number)
+        _compile_ahead(state)
     elif tracking.carrier == Carrier.NONE:
         return Followed(replace(state, num_lost=state.num_lost + 1), _lost(state, tracking), None)
     info = _info(state, tracking)
@@ -164,6 +165,23 @@ def advance_map(
                 mapping, state.mapping_camera, config, seed=state.config.seed, newest=i < extra
             )
     return mapping, loss
+
+
+def _compile_ahead(state: SlamState) -> None:
+    """Run what later frames will need on the first one, so that none of them waits for a compiler.
+
+    The first keyframe is tracked in itself, made a keyframe again, and the two are registered.
+    """
+    observation = state.keyframes[0].observation
+    twin = _placed(state, track(state, observation))
+    found = register(observation, observation, se3.identity(), state.camera, state.config.tracking)
+    again = Tracking(0, found, Carrier.BOTH, False)
+    _info(twin, again)
+    has_left(found, state.config)
+    twin = _next_keyframe(twin, observation, again, 1)
+    twin = replace(twin, pending=((0, 1),))
+    _advance_graph(twin, True)
+    warm_up(twin.mapping, twin.keyframe_poses[:1])
 
 
 def _placed(state: SlamState, tracking: Tracking) -> SlamState:

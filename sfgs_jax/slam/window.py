@@ -20,12 +20,16 @@ from sfgs_jax.factor_graph import (
 )
 from sfgs_jax.factor_graph.structure import CLUSTER_LANDMARKS
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.graph import SOLVER, with_poses
+from sfgs_jax.slam.graph import SOLVER, relative_poses, with_poses
 from sfgs_jax.slam.registration import Registration
 from sfgs_jax.slam.state import Edge, SlamState
 
 _PRIOR_SIGMAS = (0.02, 0.02)
 """How firmly the window's poses stay where the rest of the graph has them: metres, radians."""
+
+
+_KERNEL_WIDTH = 3.0
+"""Of the Huber kernel of a registration, standard deviations."""
 
 
 def share_landmarks(state: SlamState, target: int, source: int, found: Registration) -> SlamState:
@@ -137,22 +141,11 @@ def _registrations(edges: tuple[Edge, ...], first: int, size: int) -> RelativePo
     """The surfaces' part of the registrations within the window."""
     room = size * (size - 1) // 2
     inside = [e for e in edges if e.target >= first and not e.loop][-room:]
-    poses = np.tile(np.asarray([0, 1], np.int32), (room, 1))
-    motions = np.tile(np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32), (room, 1))
-    information = np.tile(np.eye(6, dtype=np.float32), (room, 1, 1))
-    for row, edge in enumerate(inside):
-        poses[row] = edge.target - first, edge.source - first
-        motions[row] = edge.T_target_source.wxyz_xyz
-        information[row] = edge.surface_information
-    valid = np.arange(room) < len(inside)
-    return RelativePose(
-        poses,
-        jaxlie.SE3(jnp.asarray(motions)),
-        jnp.asarray(information),
-        valid=valid,
-        kernel="huber",
-        kernel_width=3.0,
-    )
+    local = [
+        replace(e, target=e.target - first, source=e.source - first, information=e.surface_information)
+        for e in inside
+    ]
+    return relative_poses(local, room, kernel="huber", kernel_width=_KERNEL_WIDTH)
 
 
 def _priors(poses: np.ndarray) -> PosePrior:

@@ -15,7 +15,7 @@ from sfgs_jax.slam import LearningRates, MappingConfig, OptimisationConfig, Slam
 @pytest.fixture
 def config() -> RunConfig:
     mapping = MappingConfig(
-        keyframe_interval=7, optimisation=OptimisationConfig(learning_rates=LearningRates(means=0.125))
+        view_interval=7, optimisation=OptimisationConfig(learning_rates=LearningRates(means=0.125))
     )
     reader = ReaderOptions(camera=Path("there/camera.json"), end=12, max_depth=3.0)
     return RunConfig("recording", "folder", reader, SlamConfig(mapping=mapping, seed=5))
@@ -27,18 +27,16 @@ def test_round_trip(config):
 
 def test_missing_settings_keep_their_defaults(config):
     data = json.loads(to_json(config))
-    del data["slam"]["mapping"]["keyframe_interval"]
+    del data["slam"]["mapping"]["view_interval"]
     restored = from_json(json.dumps(data), "c")
-    assert restored.slam.mapping == replace(
-        config.slam.mapping, keyframe_interval=MappingConfig().keyframe_interval
-    )
+    assert restored.slam.mapping == replace(config.slam.mapping, view_interval=MappingConfig().view_interval)
 
 
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        (("slam", "mapping", "keyframe_interval"), "two", "keyframe_interval cannot be 'two'"),
-        (("slam", "mapping", "keyframe_interval"), True, "keyframe_interval cannot be True"),
+        (("slam", "mapping", "view_interval"), "two", "view_interval cannot be 'two'"),
+        (("slam", "mapping", "view_interval"), True, "view_interval cannot be True"),
         (("slam", "speed"), 3, "a setting 'speed' that this version does not know"),
         (("reader",), 3, "must hold settings by name"),
     ],

@@ -72,7 +72,7 @@ def test_writes_every_output(finished):
     assert int(np.sum(load_ply(finished / "map.ply").valid)) == metrics["map"]["gaussians"] > 500
     assert metrics["ate"]["rmse_m"] < 0.03
     assert metrics["psnr"]["all"] > 18
-    assert {"tracking", "mapping", "keyframe"} <= set(metrics["stages"])
+    assert {"tracking", "graph", "view", "mapping"} <= set(metrics["stages"])
     assert metrics["memory"]["peak_mb"] > 50
 
 
@@ -144,11 +144,14 @@ def test_a_truncated_image_in_mid_run_is_skipped_and_counted(copy, tmp_path):
     assert "frame 4 skipped" in (tmp_path / "out" / "run.log").read_text()
 
 
-def test_depth_without_a_valid_pixel_is_skipped(copy, tmp_path):
+def test_a_frame_without_depth_is_not_skipped(copy, tmp_path):
     image = sorted((copy / "depth").iterdir())[5]
     cv2.imwrite(str(image), np.zeros((72, 96), np.uint16))
     assert run(copy, tmp_path / "out", "--no-evaluate") == 0
-    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["frames"]["skipped"] == 1
+    frames = json.loads((tmp_path / "out" / "metrics.json").read_text())["frames"]
+    assert frames["skipped"] == 0
+    assert frames["tracked"] + frames["lost"] == NUM_FRAMES
+    assert frames["lost"] <= 1
 
 
 def test_too_many_bad_images_stop_the_run_but_keep_what_there_is(copy, tmp_path, capsys):
@@ -185,8 +188,8 @@ def test_without_ground_truth_it_runs_and_says_what_it_cannot_give(copy, tmp_pat
 def test_interruption_saves_what_there_is_and_exits_130(recording_folder, tmp_path, monkeypatch, signum):
     real = run_module.prefetch
 
-    def interrupted(recording):
-        for index, frame in real(recording):
+    def interrupted(recording, **options):
+        for index, frame in real(recording, **options):
             if index == 6:
                 os.kill(os.getpid(), signum)
             yield index, frame
@@ -196,6 +199,42 @@ def test_interruption_saves_what_there_is_and_exits_130(recording_folder, tmp_pa
     assert len(read_tum(tmp_path / "out" / "trajectory.txt")) == 6
     assert np.sum(load_ply(tmp_path / "out" / "map.ply").valid) > 500
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["frames"]["interrupted"] is True
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_end(
+    finished, recording_folder, tmp_path, monkeypatch, capsys
+):
+    real, out = run_module.prefetch, tmp_path / "out"
+
+    def interrupted(recording, **options):
+        for index, frame in real(recording, **options):
+            if index == 6:
+                raise KeyboardInterrupt
+            yield index, frame
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run_module, "prefetch", interrupted)
+        assert run(recording_folder, out) == 130
+    assert "--resume" in capsys.readouterr().err
+    assert run(recording_folder, out, "--resume", "--mapping.view-interval", "3") == 2
+    assert "other settings" in capsys.readouterr().err
+    assert run(recording_folder, out, "--resume") == 0
+    for name in ("trajectory.txt", "keyframes.txt", "map.ply"):
+        assert (out / name).read_bytes() == (finished / name).read_bytes(), name
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert run(recording_folder, out, "--resume") == 2
+    assert "no run that could be resumed" in capsys.readouterr().err
+
+
+def test_ablations_reach_the_settings(recording_folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    switches = ["--no-factor-graph", "--no-loops", "--features", "none"]
+    assert run(recording_folder, out, *switches, "--no-evaluate", "--reader.end", "3") == 0
+    slam = json.loads((out / "config.json").read_text())["slam"]
+    assert slam["tracking"]["features"]["kind"] == "none"
+    assert slam["graph"]["enabled"] is slam["graph"]["loops"] is False
+    assert run(recording_folder, tmp_path / "b", "--features", "none", "--no-gicp") == 2
+    assert "nothing is left" in capsys.readouterr().err
 
 
 def test_a_full_disk_costs_no_results(recording_folder, tmp_path, monkeypatch, capsys):

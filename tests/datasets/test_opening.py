@@ -11,7 +11,7 @@ from sfgs_jax.datasets import (
     open_recording,
     write_recording,
 )
-from sfgs_jax.geometry import FrameError, InputError
+from sfgs_jax.geometry import InputError
 
 SOURCE = "synthetic:frames=5,width=80,height=60"
 
@@ -73,16 +73,15 @@ def test_depth_limit(room):
     np.testing.assert_array_equal(depth, np.where(whole <= limit, whole, 0))
 
 
-def test_frame_without_valid_depth(room, tmp_path, write_image):
-    with pytest.raises(FrameError, match=r"no valid depth within 0\.1 m"):
-        open_recording(SOURCE, options=ReaderOptions(max_depth=0.1))[0]
+def test_a_frame_without_depth_is_a_frame(room, tmp_path, write_image):
+    assert not np.any(open_recording(SOURCE, options=ReaderOptions(max_depth=0.1))[0].depth)
     write_recording(room, tmp_path / "a", layout="folder")
     path = sorted((tmp_path / "a" / "depth").iterdir())[2]
     write_image(path, np.zeros((60, 80), np.uint16))
     recording = open_recording(tmp_path / "a")
-    recording[1]
-    with pytest.raises(FrameError, match="Frame 2 of a has no valid depth"):
-        recording[2]
+    assert np.any(recording[1].depth)
+    assert not np.any(recording[2].depth)
+    np.testing.assert_allclose(recording[2].rgb, room[2].rgb, atol=0.003)
 
 
 @pytest.mark.parametrize(

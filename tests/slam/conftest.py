@@ -1,17 +1,17 @@
-"""A small room and a state for it, shared by the tests of this folder."""
+"""A small room and settings for it, shared by the tests of this folder."""
 
 from dataclasses import replace
 
 import pytest
 
 from sfgs_jax.datasets import SyntheticRoom
-from sfgs_jax.slam import MappingConfig, SlamConfig
+from sfgs_jax.slam import FeaturesConfig, GraphConfig, MappingConfig, SlamConfig, TrackingConfig
 
 
 @pytest.fixture(scope="session")
 def room():
-    """Twelve frames of the synthetic room at 96 x 72, and their camera and poses."""
-    return SyntheticRoom(num_frames=12, width=96, height=72)
+    """Twelve frames of the synthetic room at 128 x 96, and their camera and poses."""
+    return SyntheticRoom(num_frames=12, width=128, height=96)
 
 
 @pytest.fixture(scope="session")
@@ -23,4 +23,8 @@ def frames(room):
 @pytest.fixture
 def config() -> SlamConfig:
     """Capacities that suit the small room."""
-    return SlamConfig(mapping=replace(MappingConfig(), capacity=8192, pair_capacity=32_768, final_steps=2))
+    return SlamConfig(
+        tracking=TrackingConfig(features=FeaturesConfig(max_keypoints=256, max_rigid_matches=128)),
+        graph=GraphConfig(capacity=16, max_landmarks=128, window=4),
+        mapping=replace(MappingConfig(), capacity=8192, pair_capacity=32_768, final_steps=2),
+    )

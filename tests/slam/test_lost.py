@@ -1,0 +1,74 @@
+"""Frames that show nothing, and how the system finds its way back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sfgs_jax import Frame, slam
+from sfgs_jax.datasets import SyntheticRoom
+from sfgs_jax.geometry import se3
+
+
+@pytest.fixture(scope="module")
+def long_room():
+    """Frames of a swing aside and back, large enough for keypoints to be found again by."""
+    return SyntheticRoom(num_frames=60, width=160, height=120)
+
+
+@pytest.fixture
+def settings(config):
+    return replace(config, mapping=replace(config.mapping, steps_per_frame=0, steps_per_view=0))
+
+
+def follow(state, room, numbers):
+    infos = []
+    for i in numbers:
+        frame = room[i] if i is not None else blank(room)
+        state, info = slam.step(state, frame)
+        infos.append(info)
+    return state, infos
+
+
+def blank(room):
+    height, width = room.camera.shape
+    return Frame(np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.float32), 0.0)
+
+
+def error(room, number, info):
+    truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses[number]
+    return np.linalg.norm(np.asarray(se3.matrix(info.T_world_cam))[:3, 3] - truth[:3, 3])
+
+
+def test_black_frames_are_lost_and_the_rest_is_found(long_room, settings):
+    state, before = follow(slam.init(long_room.camera, settings), long_room, range(0, 12, 3))
+    state, dark = follow(state, long_room, [None] * 20)
+    state, after = follow(state, long_room, range(15, 24, 3))
+    assert all(info.tracked for info in before)
+    assert not any(info.tracked for info in dark)
+    assert state.num_lost == 20
+    assert all(info.tracked for info in after)
+    assert max(error(long_room, n, i) for n, i in zip(range(15, 24, 3), after, strict=True)) < 0.05
+    assert len(state.trajectory) == len(before) + len(after)
+
+
+def test_after_a_jump_the_frame_is_found_among_all_keyframes(long_room, settings):
+    state, infos = follow(slam.init(long_room.camera, settings), long_room, range(0, 30, 2))
+    assert all(info.tracked for info in infos)
+    assert len(state.keyframes) > 2
+    # From the far end of the swing back to its beginning: nothing of the last reference is in view.
+    state, (back, following) = follow(state, long_room, [2, 4])
+    assert back.tracked
+    assert back.relocalised
+    assert error(long_room, 2, back) < 0.05
+    assert following.tracked
+    assert not following.relocalised
+
+
+def test_a_first_frame_that_shows_nothing_starts_no_map(long_room, settings):
+    state, (info,) = follow(slam.init(long_room.camera, settings), long_room, [None])
+    assert not info.tracked
+    assert not state.keyframes
+    state, (info,) = follow(state, long_room, [0])
+    assert info.tracked
+    np.testing.assert_allclose(se3.matrix(info.T_world_cam), np.eye(4))

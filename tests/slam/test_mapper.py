@@ -1,0 +1,89 @@
+"""Mapping beside tracking, on the recording's own clock."""
+
+import time
+
+import numpy as np
+import pytest
+
+from sfgs_jax import slam
+from sfgs_jax.datasets import play
+from sfgs_jax.slam.mapper import Mapper
+from sfgs_jax.slam.step import follow
+from sfgs_jax.slam.stopwatch import Stopwatch
+
+
+def test_the_mapper_learns_and_optimises_until_it_is_stopped(room, frames, config):
+    state, _, view = follow(slam.init(room.camera, config), frames[0])
+    mapper = Mapper(state, Stopwatch())
+    mapper.learn(state, view)
+    deadline = time.monotonic() + 120
+    while mapper.mapping.num_steps < 3 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    with mapper.waiting():
+        pass
+    mapping = mapper.stop()
+    assert mapping.num_steps >= 3
+    assert [view.frame for view in mapping.views] == [0]
+    assert mapping.num_gaussians > 100
+    np.testing.assert_array_equal(mapping.keyframe_poses, state.keyframe_poses)
+
+
+def test_what_ends_the_mapper_reaches_its_owner(room, frames, config):
+    state, _, view = follow(slam.init(room.camera, config), frames[0])
+    mapper = Mapper(state, Stopwatch())
+    broken = slam.View(None, None, 5, view.T_keyframe_cam, 0)
+    mapper.learn(state, broken)
+    with pytest.raises(Exception, match=r"index|out of bounds|None"):
+        mapper.stop()
+
+
+class Slow:
+    """A recording of ten frames, a hundredth of a second apart."""
+
+    timestamps = np.arange(10) / 100
+
+    def __len__(self):
+        return 10
+
+    def __getitem__(self, index):
+        return index
+
+
+def test_frames_that_nobody_was_ready_for_are_left_out():
+    taken = []
+    for number, frame in play(Slow()):
+        assert number == frame
+        taken.append(number)
+        time.sleep(0.035)
+    assert taken[0] == 0
+    assert taken[-1] == 9
+    assert np.all(np.diff(taken) >= 1)
+    assert len(taken) < 8
+
+
+def test_a_consumer_that_is_fast_gets_every_frame():
+    assert [number for number, _ in play(Slow(), first=4)] == [4, 5, 6, 7, 8, 9]
+
+
+def test_what_ends_the_decoder_is_raised():
+    class Broken(Slow):
+        def __getitem__(self, index):
+            if index == 2:
+                raise RuntimeError("unplugged")
+            return index
+
+    with pytest.raises(RuntimeError, match="unplugged"):
+        list(play(Broken()))
+
+
+def test_a_run_in_real_time_tracks_and_maps(room, frames, config):
+    numbered = [(i, frame) for i, frame in enumerate(frames) if i not in (4, 5)]
+    result = slam.run(iter(numbered), room.camera, config, realtime=True)
+    assert result.num_dropped == 2
+    assert result.num_frames == len(frames)
+    assert len(result.trajectory) == len(frames) - 2
+    assert result.state.mapping.num_steps > config.mapping.final_steps
+    assert result.num_refined == config.mapping.final_steps
+    truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses
+    kept = [i for i, _ in numbered]
+    np.testing.assert_allclose(result.trajectory.positions, truth[kept, :3, 3], atol=0.03)

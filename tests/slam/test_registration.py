@@ -1,0 +1,144 @@
+"""Registration by keypoints and surface: what carries it, and what the surface leaves free."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax import Camera, Frame
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam import Carrier, observe, register
+from sfgs_jax.slam.matched_motion import motion_from_keypoints
+from sfgs_jax.slam.observation import load_extractor
+
+CAMERA = Camera(160.0, 160.0, 79.5, 59.5, width=160, height=120)
+SHIFT = (0.06, -0.03, 0.0)
+
+
+def texture(rng):
+    """Coloured patches of several sizes, 2 cm to 20 cm."""
+    fine = np.kron(rng.random((75, 75)), np.ones((4, 4)))
+    coarse = np.kron(rng.random((12, 12)), np.ones((25, 25)))
+    return ((fine + coarse) / 2).astype(np.float32)
+
+
+def wall(image, shift, *, bare=False):
+    """A wall two metres ahead, from a camera moved along it: 1 cm of the wall in each texel."""
+    u, v = np.meshgrid(np.arange(160), np.arange(120))
+    x, y = (2 * (u - 79.5) / 160 + shift[0], 2 * (v - 59.5) / 160 + shift[1])
+    column, row = ((np.clip((z + 1.5) * 100, 0, 298)) for z in (x, y))
+    i, j = row.astype(int), column.astype(int)
+    a, b = row - i, column - j
+    grey = (
+        image[i, j] * (1 - a) * (1 - b)
+        + image[i + 1, j] * a * (1 - b)
+        + image[i, j + 1] * (1 - a) * b
+        + image[i + 1, j + 1] * a * b
+    )
+    grey = np.full_like(grey, 0.5) if bare else grey
+    depth = np.full((120, 160), 2.0 + shift[2], np.float32)
+    return Frame(np.repeat(grey[..., None], 3, -1).astype(np.float32), depth, 0.0)
+
+
+@pytest.fixture
+def tracking(config):
+    return replace(config.tracking, features=replace(config.tracking.features, min_inliers=12))
+
+
+@pytest.fixture
+def look(tracking):
+    extractor = load_extractor(tracking.features)
+    return lambda frame: observe(frame, CAMERA, extractor, tracking, depth=jnp.asarray(frame.depth))
+
+
+def test_along_a_textured_wall_the_keypoints_decide(rng, look, tracking):
+    image = texture(rng)
+    source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
+    found = register(source, target, se3.identity(), CAMERA, tracking)
+    assert int(found.carrier) == Carrier.BOTH
+    assert int(found.free) == 3
+    np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], SHIFT, atol=0.01)
+    assert np.linalg.norm(se3.log(found.T_target_source)[3:]) < 0.01
+    # Both say how sure they are, and only together are they sure of every direction.
+    surface, both = (
+        np.linalg.eigvalsh(np.asarray(x)) for x in (found.surface_information, found.information)
+    )
+    assert surface[0] < 1e-3 * surface[-1]
+    assert both[0] > 100
+
+
+def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, tracking):
+    image = texture(rng)
+    source, target = look(wall(image, SHIFT, bare=True)), look(wall(image, (0, 0, 0.05), bare=True))
+    guess = se3.exp(jnp.asarray([0.02, 0.01, 0.0, 0.0, 0.0, 0.0]))
+    found = register(source, target, guess, CAMERA, tracking)
+    assert int(found.carrier) == Carrier.COASTING
+    assert int(found.free) == 3
+    np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], [0.02, 0.01, 0.05], atol=0.004)
+
+
+@pytest.mark.parametrize(
+    ("dark", "blind", "carrier"),
+    [
+        (False, False, Carrier.BOTH),
+        (True, False, Carrier.SURFACE),
+        (False, True, Carrier.KEYPOINTS),
+        (True, True, Carrier.NONE),
+    ],
+)
+def test_what_is_left_carries_the_frame(room, frames, config, dark, blind, carrier):
+    settings = replace(config.tracking, features=replace(config.tracking.features, min_inliers=12))
+    extractor = load_extractor(settings.features)
+    frame = frames[1]
+    rgb = np.zeros_like(frame.rgb) if dark else frame.rgb
+    depth = np.zeros_like(frame.depth) if blind else frame.depth
+    target = observe(frames[0], room.camera, extractor, settings, depth=jnp.asarray(frames[0].depth))
+    source = observe(Frame(rgb, depth, 0.0), room.camera, extractor, settings, depth=jnp.asarray(depth))
+    found = register(source, target, se3.identity(), room.camera, settings)
+    assert int(found.carrier) == carrier
+    assert all(bool(jnp.all(jnp.isfinite(x))) for x in jax.tree.leaves(found))
+    if carrier != Carrier.NONE:
+        truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses[1]
+        error = np.linalg.inv(truth) @ np.asarray(se3.matrix(found.T_target_source))
+        assert np.linalg.norm(error[:3, 3]) < 0.03
+        assert np.degrees(np.arccos(min(1, (np.trace(error[:3, :3]) - 1) / 2))) < 1.5
+
+
+def test_keypoints_give_the_motion_of_known_matches(rng, look, tracking):
+    """Points of known depth, a third of them wrong, and their information beside the spread of trials."""
+    source, target = look(wall(texture(rng), SHIFT)), look(wall(texture(rng), (0, 0, 0)))
+    k, features = target.keypoints.depth.size, tracking.features
+    descriptors = np.eye(k, 64, dtype=np.float32) + rng.normal(size=(k, 64)).astype(np.float32) / 8
+    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
+    pixels = rng.uniform([0, 0], [160, 120], (k, 2)).astype(np.float32)
+    depth = rng.uniform(1, 3, k).astype(np.float32)
+    points = np.asarray(CAMERA.unproject(jnp.asarray(pixels), jnp.asarray(depth)))
+    T = se3.exp(jnp.asarray([0.1, -0.05, 0.08, 0.03, -0.06, 0.1]))
+    seen = np.asarray(se3.transform(se3.inverse(T), jnp.asarray(points)))
+
+    def keypoints(like, pixels, depth, points):
+        found = replace(
+            like.keypoints.features,
+            keypoints=jnp.asarray(pixels),
+            descriptors=jnp.asarray(descriptors),
+            valid=jnp.ones(k, bool),
+        )
+        return replace(like.keypoints, features=found, depth=jnp.asarray(depth), points=jnp.asarray(points))
+
+    wrong = np.arange(k) % 3 == 0
+    where = np.asarray(CAMERA.project(jnp.asarray(seen)))
+    where[wrong] = rng.uniform([0, 0], [160, 120], (int(wrong.sum()), 2))
+    z = np.where(wrong, rng.uniform(1, 3, k), seen[:, 2]).astype(np.float32)
+    z[::5] = 0
+    moved = keypoints(source, where, z, CAMERA.unproject(jnp.asarray(where), jnp.asarray(np.maximum(z, 1))))
+    found = jax.jit(motion_from_keypoints, static_argnums=4)(
+        moved, keypoints(target, pixels, depth, points), se3.identity(), CAMERA, features
+    )
+    error = se3.log(se3.compose(se3.inverse(T), found.T_target_source))
+    np.testing.assert_allclose(error, 0, atol=1e-4)
+    assert int(found.num_inliers) >= 0.6 * k
+    assert not np.any(
+        np.asarray(found.inliers)[wrong & (z > 0)] & (np.abs(where - pixels).max(1) > 60)[wrong & (z > 0)]
+    )
