@@ -126,8 +126,8 @@ def sphere() -> tuple[FactorGraph, Values, Any, Any]:
     start = gtsam.Values()
     for i, T in enumerate(poses):
         start.insert(i, gtsam.Pose3(T))
-    edges = RelativePose(ends, motions(measured), jnp.asarray(information, jnp.float32))
-    graph = FactorGraph([edges], num_poses=len(poses), free_poses=np.arange(len(poses)) > 0)
+    relative = RelativePose(ends, motions(measured), jnp.asarray(information, jnp.float32))
+    graph = FactorGraph([relative], num_poses=len(poses), free_poses=np.arange(len(poses)) > 0)
     return jax.tree.map(jnp.asarray, graph), Values(motions(np.array(poses))), peer, start
 
 
