@@ -141,8 +141,11 @@ def _restricted(e: Equations, floor: float) -> tuple[Float[Array, "6 6"], Float[
     hessian, gradient = keep @ (e.hessian * outer) @ keep, keep @ (e.unit * e.gradient)
     size, share = jnp.trace(hessian), 1.0
     if e.prior is not None:
-        hessian, gradient = hessian + e.prior[0] * outer, gradient + e.prior[1] * e.unit
-        # Enough to be regular where the prior says nothing, and too little to hold it up where it does.
-        size, share = jnp.trace(hessian), 1e-6
+        known = e.prior[0] * outer
+        hessian, gradient = hessian + known, gradient + e.prior[1] * e.unit
+        # Enough to be regular where the prior says nothing, and too little to hold it up where it does. A
+        # prior without any information is none: so little would let rounding run off along what is free.
+        size = jnp.trace(hessian)
+        share = jnp.where(jnp.trace(known) > 1e-6 * size, 1e-6, 1.0)
     rest = jnp.eye(6, dtype=e.unit.dtype) - keep
     return hessian + share * jnp.where(size > 0, size, 1) * rest, gradient

@@ -16,6 +16,9 @@ class FeaturesConfig:
     """Slots for the keypoints of a frame."""
     min_similarity: float = 0.82
     """Cosine that the descriptors of a match must exceed."""
+    min_contrast: float = 0.03
+    """A keypoint counts where the grey values of the cells around it differ by at least this, of 1: on a
+    wall without texture, or in the dark, an extractor finds its own artefacts."""
     depth_tolerance: float = 0.05
     """A keypoint has no depth if its neighbours' differ by more than this share."""
     max_rigid_matches: int = 256
@@ -50,8 +53,14 @@ class TrackingConfig:
     """Registration settings."""
     use_surface: bool = True
     """Whether GICP takes part; without it keypoints alone carry the poses."""
+    guess_sigma: float = 0.1
+    """Standard deviation of the motion model's guess, metres and radians."""
     min_inlier_fraction: float = 0.3
     """GICP has failed where the share of matched points is below this."""
+    min_inlier_fraction_alone: float = 0.5
+    """... and, where no keypoints bear it out, below this share: surfaces fit in many places."""
+    max_correction_alone: float = 0.3
+    """... or where it then ends farther from where it started, metres or radians."""
     max_disagreement: float = 0.1
     """GICP has failed where keypoints give a motion that differs by more, metres or radians."""
     max_coasting: int = 15

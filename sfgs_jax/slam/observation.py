@@ -72,7 +72,7 @@ def observe(
     features = config.features
     if features.kind == "orb":
         found = extract_orb(np.asarray(frame.rgb), max_keypoints=features.max_keypoints)
-        return _with_features(found, depth, camera, config)
+        return _with_features(found, jnp.asarray(frame.rgb), depth, camera, config)
     return _observe(extractor, jnp.asarray(frame.rgb), depth, camera, config)
 
 
@@ -88,13 +88,18 @@ def _observe(
         features = empty_features()
     else:
         features = extract(extractor, rgb, max_keypoints=config.features.max_keypoints)
-    return _with_features(features, depth, camera, config)
+    return _with_features(features, rgb, depth, camera, config)
 
 
 @partial(jax.jit, static_argnames="config")
 def _with_features(
-    features: Features, depth: Float[Array, "H W"], camera: Camera, config: TrackingConfig
+    features: Features,
+    rgb: Float[Array, "H W 3"],
+    depth: Float[Array, "H W"],
+    camera: Camera,
+    config: TrackingConfig,
 ) -> Observation:
+    features = _with_contrast(features, rgb, config.features.min_contrast)
     at = _depth_at(depth, features.keypoints, config.features.depth_tolerance)
     points = camera.unproject(features.keypoints, jnp.where(at > 0, at, 1))
     return Observation(
@@ -117,6 +122,28 @@ def signature(features: Features) -> Float[Array, " d"]:
     moments = (part.T @ part / count).reshape(-1)
     rooted = jnp.sign(moments) * jnp.sqrt(jnp.maximum(jnp.abs(moments), 1e-12))
     return jnp.where(jnp.any(features.valid), rooted / jnp.linalg.norm(rooted), 0)
+
+
+_CELL = 8
+"""Pixels along the side of the cells that contrast is judged by."""
+
+
+def _with_contrast(features: Features, rgb: Float[Array, "H W 3"], least: float) -> Features:
+    """The features without those around which the image shows nothing."""
+    grey = rgb[..., 1]
+    height, width = grey.shape
+    rows, columns = height // _CELL, width // _CELL
+    cells = grey[: rows * _CELL, : columns * _CELL].reshape(rows, _CELL, columns, _CELL)
+    reach = ((1, 1), (1, 1))
+    low, high = jnp.min(cells, axis=(1, 3)), jnp.max(cells, axis=(1, 3))
+    low, high = (
+        jax.lax.reduce_window(x, start, pick, (3, 3), (1, 1), reach)
+        for x, start, pick in ((low, jnp.inf, jax.lax.min), (high, -jnp.inf, jax.lax.max))
+    )
+    column, row = (features.keypoints / _CELL).astype(jnp.int32).T
+    contrast = (high - low)[jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1)]
+    valid = features.valid & (contrast >= least)
+    return Features(features.keypoints, features.scores, features.descriptors, valid)
 
 
 def empty_features() -> Features:
@@ -147,4 +174,7 @@ def _depth_at(
 def blank_observation(camera: Camera, config: TrackingConfig) -> Observation:
     """An observation of this structure, without arrays: what saved ones are read into."""
     depth = jax.ShapeDtypeStruct(camera.shape, jnp.float32)
-    return jax.eval_shape(lambda d, c: _with_features(empty_features(), d, c, config), depth, camera)
+    rgb = jax.ShapeDtypeStruct((*camera.shape, 3), jnp.float32)
+    return jax.eval_shape(
+        lambda r, d, c: _with_features(empty_features(), r, d, c, config), rgb, depth, camera
+    )

@@ -91,21 +91,22 @@ def register(
         zero = jnp.zeros(())
         return Registration(T, jnp.zeros((6, 6)), matched, carrier, zero, zero, jnp.asarray(0))
 
-    prior = gicp.MotionPrior(T, jnp.where(keypoints, matched.information, 0))
+    # Without keypoints the guess itself is a weak prior, which decides where the surface does not.
+    weak = jnp.eye(6) / config.guess_sigma**2
+    prior = gicp.MotionPrior(T, jnp.where(keypoints, matched.information, weak))
     result = gicp.align(source.cloud, target.cloud, T, prior=prior, config=config.gicp)
     finite = jnp.all(jnp.isfinite(result.T_target_source.wxyz_xyz))
     surface = finite & (result.inlier_fraction >= config.min_inlier_fraction)
     # Many matches that agree on another motion prove the surface's alignment wrong.
-    apart = se3.log(se3.compose(se3.inverse(matched.T_target_source), result.T_target_source))
-    agree = (jnp.linalg.norm(apart[:3]) < config.max_disagreement) & (
-        jnp.linalg.norm(apart[3:]) < config.max_disagreement
-    )
-    surface &= agree | ~keypoints
+    agree = _apart(matched.T_target_source, result.T_target_source) < config.max_disagreement
+    near = _apart(guess, result.T_target_source) < config.max_correction_alone
+    alone = near & (result.inlier_fraction >= config.min_inlier_fraction_alone)
+    surface &= jnp.where(keypoints, agree, alone)
     free = jnp.sum(result.free)
-    alone = jnp.where(free > 0, int(Carrier.COASTING), int(Carrier.SURFACE))
+    unaided = jnp.where(free > 0, int(Carrier.COASTING), int(Carrier.SURFACE))
     carrier = jnp.where(
         surface,
-        jnp.where(keypoints, int(Carrier.BOTH), alone),
+        jnp.where(keypoints, int(Carrier.BOTH), unaided),
         jnp.where(keypoints, int(Carrier.KEYPOINTS), int(Carrier.NONE)),
     )
     return Registration(
@@ -117,6 +118,12 @@ def register(
         result.rmse,
         free,
     )
+
+
+def _apart(a: jaxlie.SE3, b: jaxlie.SE3) -> Float[Array, ""]:
+    """By how much two motions differ: metres or radians, the larger."""
+    off = se3.log(se3.compose(se3.inverse(a), b))
+    return jnp.maximum(jnp.linalg.norm(off[:3]), jnp.linalg.norm(off[3:]))
 
 
 def _choose(condition: Bool[Array, ""], a: jaxlie.SE3, b: jaxlie.SE3) -> jaxlie.SE3:

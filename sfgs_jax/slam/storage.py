@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from sfgs_jax.geometry import Camera, InputError, se3
 from sfgs_jax.slam.array_file import read_arrays, write_arrays
 from sfgs_jax.slam.config import SlamConfig
-from sfgs_jax.slam.observation import blank_observation
+from sfgs_jax.slam.observation import Observation, blank_observation
 from sfgs_jax.slam.state import Edge, Keyframe, SlamState, View, init
 
 STATE_FILE = "state.arrays"
@@ -73,13 +74,13 @@ def load(folder: Path | str, config: SlamConfig) -> SlamState:
     rest = jax.tree.unflatten(structure, [_like(a, b) for a, b in zip(leaves, expected, strict=True)])
     blank = blank_observation(rest.camera, config.tracking)
     keyframes = tuple(
-        replace(keyframe, observation=_read(_image_file(folder, "keyframe", i), blank))
+        _with_images(keyframe, _read(_image_file(folder, "keyframe", i), blank))
         for i, keyframe in enumerate(rest.keyframes)
     )
     views = []
     for i, view in enumerate(rest.mapping.views):
         rgb, depth = _read(_image_file(folder, "view", i), (0, 0))
-        views.append(replace(view, rgb=rgb, depth=depth))
+        views.append(eqx.tree_at(lambda v: (v.rgb, v.depth), view, (rgb, depth), is_leaf=lambda x: x is None))
     return replace(rest, keyframes=keyframes, mapping=replace(rest.mapping, views=tuple(views)))
 
 
@@ -130,9 +131,21 @@ def _read(path: Path, like: _T) -> _T:
 
 
 def _without_images(state: SlamState) -> SlamState:
-    keyframes = tuple(replace(k, observation=None) for k in state.keyframes)
-    views = tuple(replace(v, rgb=None, depth=None) for v in state.mapping.views)
+    keyframes = tuple(_bare_keyframe(k) for k in state.keyframes)
+    views = tuple(_bare_view(v) for v in state.mapping.views)
     return replace(state, keyframes=keyframes, mapping=replace(state.mapping, views=views))
+
+
+def _with_images(keyframe: Keyframe, observation: Observation) -> Keyframe:
+    return eqx.tree_at(lambda k: k.observation, keyframe, observation, is_leaf=lambda x: x is None)
+
+
+def _bare_keyframe(keyframe: Keyframe) -> Keyframe:
+    return eqx.tree_at(lambda k: k.observation, keyframe, None)
+
+
+def _bare_view(view: View) -> View:
+    return eqx.tree_at(lambda v: (v.rgb, v.depth), view, (None, None))
 
 
 def _template(facts: dict[str, Any], config: SlamConfig) -> SlamState:
@@ -140,10 +153,10 @@ def _template(facts: dict[str, Any], config: SlamConfig) -> SlamState:
     zero = jnp.zeros(())
     camera = Camera(zero, zero, zero, zero, **facts["camera"])
     state, counts, T = init(camera, config), facts["counts"], se3.identity()
-    edge = Edge(0, 0, T, zero, zero, False)
-    nothing: Any = None
-    keyframe = Keyframe(nothing, T, np.zeros(0), 0)
-    view = View(nothing, nothing, 0, T, 0)
+    edge = Edge(0, 0, T, jnp.zeros((6, 6)), jnp.zeros((6, 6)), False)
+    blank = blank_observation(camera, config.tracking)
+    keyframe = _bare_keyframe(Keyframe(blank, T, np.zeros(0, np.int64), 0))
+    view = _bare_view(View(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32), 0, T, 0))
     return replace(
         state,
         keyframes=(keyframe,) * counts["keyframes"],

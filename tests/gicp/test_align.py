@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax.geometry import Camera, InputError, se3
-from sfgs_jax.gicp import GicpConfig, OrganisedCloud, RegistrationResult, align, prepare
+from sfgs_jax.gicp import GicpConfig, MotionPrior, OrganisedCloud, RegistrationResult, align, prepare
 from sfgs_jax.gicp.align import _align
 from sfgs_jax.gicp.correspondences import associate, samples_of, target_of
 from tests.gicp.scenes import WALL, cast, motion_error
@@ -154,6 +154,17 @@ def test_a_bare_wall_leaves_motion_along_it_free_and_says_so():
         assert np.abs(shift).max() < 1e-3
     values = np.linalg.eigvalsh(np.asarray(result.information, np.float64))
     assert values[2] < 1e-3 * values[3]
+
+
+def test_a_prior_without_information_is_none():
+    """Along a bare wall rounding must not run off with what neither surface nor prior fixes."""
+    wall = clouds(cast(CAMERA, planes=WALL, spheres=[]), cast(CAMERA, planes=WALL, spheres=[]))
+    start = se3.exp(jnp.asarray([0.05, 0.03, 0.02, 0.0, 0.0, 0.0]))
+    nothing = MotionPrior(se3.identity(), jnp.zeros((6, 6)))
+    without, with_nothing = (align(*wall, start, prior=prior, config=CONFIG) for prior in (None, nothing))
+    np.testing.assert_allclose(
+        with_nothing.T_target_source.wxyz_xyz, without.T_target_source.wxyz_xyz, atol=1e-4
+    )
 
 
 def test_clouds_that_do_not_overlap_are_not_called_converged():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from sfgs_jax.datasets import SyntheticRoom
+from sfgs_jax.gicp import GicpConfig
 from sfgs_jax.slam import FeaturesConfig, GraphConfig, MappingConfig, SlamConfig, TrackingConfig
 
 
@@ -24,7 +25,10 @@ def frames(room):
 def config() -> SlamConfig:
     """Capacities that suit the small room."""
     return SlamConfig(
-        tracking=TrackingConfig(features=FeaturesConfig(max_keypoints=256, max_rigid_matches=128)),
+        tracking=TrackingConfig(
+            features=FeaturesConfig(max_keypoints=256, max_rigid_matches=128),
+            gicp=GicpConfig(strides=(1, 1, 1, 1)),
+        ),
         graph=GraphConfig(capacity=16, max_landmarks=128, window=4),
         mapping=replace(MappingConfig(), capacity=8192, pair_capacity=32_768, final_steps=2),
     )

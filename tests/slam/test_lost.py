@@ -8,17 +8,22 @@ import pytest
 from sfgs_jax import Frame, slam
 from sfgs_jax.datasets import SyntheticRoom
 from sfgs_jax.geometry import se3
+from sfgs_jax.slam import FeaturesConfig
 
 
 @pytest.fixture(scope="module")
 def long_room():
     """Frames of a swing aside and back, large enough for keypoints to be found again by."""
-    return SyntheticRoom(num_frames=60, width=160, height=120)
+    return SyntheticRoom(num_frames=60, width=320, height=240)
 
 
 @pytest.fixture
 def settings(config):
-    return replace(config, mapping=replace(config.mapping, steps_per_frame=0, steps_per_view=0))
+    return replace(
+        config,
+        tracking=replace(config.tracking, features=FeaturesConfig(max_keypoints=512)),
+        mapping=replace(config.mapping, max_width=64, steps_per_frame=0, steps_per_view=0),
+    )
 
 
 def follow(state, room, numbers):

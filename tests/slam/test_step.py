@@ -123,7 +123,7 @@ def test_the_map_grows_when_it_is_full(room, frames, config):
     roomy, _ = slam.step(slam.init(room.camera, config), frames[0])
     assert state.mapping.dropped_seeds == 0
     assert state.gaussians.valid.shape[0] > 256
-    assert jnp.sum(state.gaussians.valid) == jnp.sum(roomy.map.gaussians.valid)
+    assert jnp.sum(state.gaussians.valid) == jnp.sum(roomy.gaussians.valid)
 
 
 def test_a_map_at_its_limit_reports_what_did_not_fit(room, frames, config):
@@ -131,7 +131,7 @@ def test_a_map_at_its_limit_reports_what_did_not_fit(room, frames, config):
     state, _ = slam.step(slam.init(room.camera, tight), frames[0])
     roomy, _ = slam.step(slam.init(room.camera, config), frames[0])
     assert jnp.sum(state.gaussians.valid) == 512
-    assert state.mapping.dropped_seeds == int(jnp.sum(roomy.map.gaussians.valid)) - 512
+    assert state.mapping.dropped_seeds == int(jnp.sum(roomy.gaussians.valid)) - 512
 
 
 def test_too_few_pairs_are_made_room_for(room, frames, config):
@@ -139,4 +139,4 @@ def test_too_few_pairs_are_made_room_for(room, frames, config):
     state, _ = slam.step(slam.init(room.camera, tight), frames[0])
     assert state.mapping.pair_capacity > 128
     roomy, _ = slam.step(slam.init(room.camera, config), frames[0])
-    np.testing.assert_allclose(state.gaussians.means, roomy.map.gaussians.means, atol=1e-5)
+    np.testing.assert_allclose(state.gaussians.means, roomy.gaussians.means, atol=1e-5)
