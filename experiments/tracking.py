@@ -1,0 +1,88 @@
+"""The paper's ablations and sparse frames: error and speed of tracking alone, without a map.
+
+    python -m experiments.tracking [--recordings redkitchen fr1_rpy] [--tables variants strides]
+
+Real recordings are found through SFGS_DATA, by default `../shared`. Every row is a run of its own over the
+whole recording. ATE is the RMSE over all tracked frames after SE(3) alignment, by where the graph has their
+keyframes at the end. Times are of the stage from a decoded frame to its pose, without the first frame.
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+from rich.progress import track
+
+from experiments.recordings import SOURCES
+from sfgs_jax.datasets import ReaderOptions, Recording, open_recording, prefetch
+from sfgs_jax.evaluation import ate
+from sfgs_jax.geometry import FrameError
+from sfgs_jax.slam import SlamConfig, init
+from sfgs_jax.slam.step import follow
+from sfgs_jax.slam.stopwatch import Stopwatch
+
+WHOLE = SlamConfig()
+TRACKING, GRAPH = WHOLE.tracking, WHOLE.graph
+
+
+def with_features(kind: str) -> SlamConfig:
+    """The system with other keypoints."""
+    return replace(WHOLE, tracking=replace(TRACKING, features=replace(TRACKING.features, kind=kind)))
+
+
+VARIANTS = {
+    "whole system": WHOLE,
+    "ORB for SuperFeats": with_features("orb"),
+    "GICP alone": with_features("none"),
+    "keypoints alone": replace(WHOLE, tracking=replace(TRACKING, use_surface=False)),
+    "without the window": replace(WHOLE, graph=replace(GRAPH, window=1)),
+    "without loops": replace(WHOLE, graph=replace(GRAPH, loops=False)),
+    "without the factor graph": replace(WHOLE, graph=replace(GRAPH, enabled=False)),
+}
+STRIDES = (1, 2, 3, 5)
+
+
+def measure(recording: Recording, config: SlamConfig, name: str) -> tuple[str, ...]:
+    """Track a recording and give its row of a table."""
+    state, stopwatch = init(recording.camera, config), Stopwatch()
+    for _, frame in track(prefetch(recording), description=name, total=len(recording), transient=True):
+        if not isinstance(frame, FrameError):
+            state, _, _ = follow(state, frame, stages=stopwatch)
+    truth = recording.ground_truth
+    error = 100 * ate(state.trajectory, truth).rmse_m if truth is not None else np.nan
+    times = stopwatch.summary()["tracking"]
+    return (
+        name,
+        f"{len(state.trajectory)} / {len(recording)}",
+        f"{error:.2f}",
+        str(len(state.keyframes)),
+        str(state.num_loops),
+        f"{times['median_ms']:.0f} / {times['p95_ms']:.0f}",
+    )
+
+
+def main() -> None:
+    """Print the tables asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--recordings", nargs="+", default=["redkitchen", "fr1_rpy"], choices=list(SOURCES))
+    parser.add_argument(
+        "--tables", nargs="+", default=["variants", "strides"], choices=["variants", "strides"]
+    )
+    arguments = parser.parse_args()
+    header = ("", "tracked", "ATE cm", "keyframes", "loops", "tracking ms median / p95")
+    for source in arguments.recordings:
+        rows = []
+        if "variants" in arguments.tables:
+            recording = open_recording(SOURCES[source])
+            rows += [measure(recording, config, name) for name, config in VARIANTS.items()]
+        if "strides" in arguments.tables:
+            for stride in STRIDES:
+                recording = open_recording(SOURCES[source], options=ReaderOptions(stride=stride))
+                rows.append(measure(recording, WHOLE, f"every {stride}. frame"))
+        print(f"\n{source}\n")
+        for row in (header, tuple("---" for _ in header), *rows):
+            print("| " + " | ".join(row) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
