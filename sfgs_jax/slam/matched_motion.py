@@ -67,12 +67,17 @@ def motion_from_keypoints(
         camera: intrinsics of both.
         config: settings.
     """
+    slots = source.depth.shape[0]
+    if slots == 0:
+        # Features are switched off.
+        nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
+        return MatchedMotion(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
     matches = match(source.features, target.features, min_similarity=config.min_similarity)
     valid = matches.valid & target.measured[matches.index_b]
     rows = _Rows(target.points[matches.index_b], source.features.keypoints, source.depth, valid)
 
     best = jnp.where(valid & (source.depth > 0), matches.similarity, -1)
-    similarity, order = lax.top_k(best, min(config.max_rigid_matches, best.shape[0]))
+    similarity, order = lax.top_k(best, min(config.max_rigid_matches, slots))
     rigid = gicp.rigid_from_matches(
         source.points[order],
         rows.points[order],

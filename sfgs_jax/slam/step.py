@@ -109,37 +109,34 @@ def follow(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> Follo
     with stages("tracking"):
         depth, _ = _clean(jnp.asarray(frame.depth))
         observation = observe(frame, state.camera, state.extractor, state.config.tracking, depth=depth)
-        if not state.keyframes:
-            tracking = None
-        else:
-            tracking = track(state, observation)
-            state = _placed(state, tracking)
         state = replace(state, num_frames=number + 1)
-    if tracking is None:
-        # A first frame that shows nothing can't be registered to.
-        if not _shows_something(observation):
-            return Followed(replace(state, num_lost=state.num_lost + 1), _lost(state, None), None)
-        state = _with_keyframe(state, observation, state.T_world_cam, number)
-        _compile_ahead(state)
-    elif tracking.carrier == Carrier.NONE:
-        return Followed(replace(state, num_lost=state.num_lost + 1), _lost(state, tracking), None)
+        tracking = _first(observation) if not state.keyframes else track(state, observation)
+        state = _placed(state, tracking)
     info = _info(state, tracking)
+    if not info.tracked:
+        return Followed(replace(state, num_lost=state.num_lost + 1), info, None)
 
-    new_keyframe = tracking is None
     with stages("graph"):
-        if tracking is not None and _should_be_keyframe(state, tracking, observation):
+        new_keyframe = True
+        if not state.keyframes:
+            state = _with_keyframe(state, observation, se3.identity(), number)
+            _compile_ahead(state)
+        elif _should_be_keyframe(state, tracking, observation):
             state = _next_keyframe(state, observation, tracking, number)
-            new_keyframe = True
+        else:
+            new_keyframe = False
         state, closed = _advance_graph(state, new_keyframe)
     log = state.log.with_frame(float(frame.timestamp), number, state.reference, state.T_reference_cam)
-    state = replace(state, log=log)
-    info = info._replace(new_keyframe=new_keyframe, loop_closed=closed, T_world_cam=state.T_world_cam)
-
     view = None
     if new_keyframe or _view_is_due(state):
         view = view_of(frame, depth, state.mapping_factor, state.reference, state.T_reference_cam, number)
-        info = info._replace(new_view=True)
-        state = replace(state, last_view=number)
+    state = replace(state, log=log, last_view=state.last_view if view is None else number)
+    info = info._replace(
+        T_world_cam=state.T_world_cam,
+        new_keyframe=new_keyframe,
+        new_view=view is not None,
+        loop_closed=closed,
+    )
     return Followed(state, info, view)
 
 
@@ -186,7 +183,7 @@ def _compile_ahead(state: SlamState) -> None:
 
 def _placed(state: SlamState, tracking: Tracking) -> SlamState:
     """The state with the frame where it was found."""
-    if tracking.carrier == Carrier.NONE:
+    if tracking.carrier == Carrier.NONE or tracking.found is None:
         return replace(state, T_previous_current=se3.identity())
     T = tracking.found.T_target_source
     motion = se3.identity() if tracking.relocalised else motion_since(state, tracking.reference, T)
@@ -216,6 +213,7 @@ def _with_keyframe(
 
 def _next_keyframe(state: SlamState, observation: Observation, tracking: Tracking, number: int) -> SlamState:
     """The state with the frame as a keyframe, tied to its reference and waiting to be tied to others."""
+    assert tracking.found is not None
     target, source = tracking.reference, len(state.keyframes)
     state = _with_keyframe(state, observation, state.T_world_cam, number)
     if not state.config.graph.enabled:
@@ -258,7 +256,12 @@ def _advance_graph(state: SlamState, new_keyframe: bool) -> tuple[SlamState, boo
 def _should_be_keyframe(state: SlamState, tracking: Tracking, observation: Observation) -> bool:
     # A pose that rests on the motion model in part would pass its error on to all that follow.
     firm = tracking.carrier != Carrier.COASTING and not tracking.relocalised
-    return firm and has_left(tracking.found, state.config) and _shows_something(observation)
+    return (
+        firm
+        and tracking.found is not None
+        and has_left(tracking.found, state.config)
+        and _shows_something(observation)
+    )
 
 
 def _view_is_due(state: SlamState) -> bool:
@@ -270,11 +273,8 @@ def _shows_something(observation: Observation) -> bool:
     return bool(jnp.any(observation.cloud.levels[0].valid) | jnp.any(observation.keypoints.measured))
 
 
-def _info(state: SlamState, tracking: Tracking | None) -> StepInfo:
-    if tracking is None:
-        return StepInfo(
-            state.T_world_cam, True, Carrier.BOTH, False, True, True, False, 1.0, 0.0, 0, 0, float("nan")
-        )
+def _info(state: SlamState, tracking: Tracking) -> StepInfo:
+    """What is known once a frame has been tracked."""
     found = tracking.found
     return StepInfo(
         T_world_cam=state.T_world_cam,
@@ -284,21 +284,17 @@ def _info(state: SlamState, tracking: Tracking | None) -> StepInfo:
         new_keyframe=False,
         new_view=False,
         loop_closed=False,
-        inlier_fraction=float(found.inlier_fraction),
-        rmse=float(found.rmse),
-        num_matches=int(found.matched.num_matches),
-        num_inliers=int(found.matched.num_inliers),
+        inlier_fraction=0.0 if found is None else float(found.inlier_fraction),
+        rmse=0.0 if found is None else float(found.rmse),
+        num_matches=0 if found is None else int(found.matched.num_matches),
+        num_inliers=0 if found is None else int(found.matched.num_inliers),
         loss=float("nan"),
     )
 
 
-def _lost(state: SlamState, tracking: Tracking | None) -> StepInfo:
-    if tracking is None:
-        nothing = _info(state, None)
-        return nothing._replace(
-            tracked=False, carrier=Carrier.NONE, new_keyframe=False, new_view=False, inlier_fraction=0.0
-        )
-    return _info(state, tracking)
+def _first(observation: Observation) -> Tracking:
+    """The first frame is where the world begins, unless nothing could be registered to it."""
+    return Tracking(0, None, Carrier.BOTH if _shows_something(observation) else Carrier.NONE, False)
 
 
 _BACKLOG = 10

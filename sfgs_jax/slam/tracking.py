@@ -18,13 +18,14 @@ class Tracking(NamedTuple):
 
     Attributes:
         reference: number of the keyframe that it was registered to.
-        found: the registration; its motion means nothing where the carrier is `NONE`.
+        found: the registration; its motion means nothing where the carrier is `NONE`. None for a first frame,
+            which is registered to nothing.
         carrier: what the pose rests on.
         relocalised: whether the frame was found again after it had been lost.
     """
 
     reference: int
-    found: Registration
+    found: Registration | None
     carrier: Carrier
     relocalised: bool
 

@@ -195,6 +195,8 @@ def test_interruption_saves_what_there_is_and_exits_130(recording_folder, tmp_pa
             yield index, frame
 
     monkeypatch.setattr(run_module, "prefetch", interrupted)
+    # A shell's background jobs are born deaf to Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     assert run(recording_folder, tmp_path / "out") == 130
     assert len(read_tum(tmp_path / "out" / "trajectory.txt")) == 6
     assert np.sum(load_ply(tmp_path / "out" / "map.ply").valid) > 500
