@@ -88,6 +88,10 @@ class GraphConfig:
     max_correction: float = 0.1
     """A registration to a neighbour that disagrees with the graph by more than this, metres or radians, is
     not believed: if it is right all the same, it is a loop."""
+    edge_sigma_metres: float = 0.005
+    """Systematic error of a registration, standard deviation in metres."""
+    edge_sigma_radians: float = 0.0035
+    """The same in radians."""
     registrations_per_frame: int = 1
     """Registrations of keyframes to each other after each frame, so that none makes a frame late."""
     kernel_width: float = 3.0

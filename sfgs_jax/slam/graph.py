@@ -10,15 +10,31 @@ from jaxtyping import Array, Float
 
 from sfgs_jax.factor_graph import FactorGraph, RelativePose, SolverConfig, Status, Values, solve
 from sfgs_jax.geometry import Kernel, se3
+from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.registration import Carrier, Registration, register
 from sfgs_jax.slam.state import Edge, Keyframe, SlamState
 
 SOLVER = SolverConfig(max_iterations=15)
 
 
-def edge_of(target: int, source: int, found: Registration, *, loop: bool = False) -> Edge:
-    """A registration as an edge of the graph."""
-    return Edge(target, source, found.T_target_source, found.information, found.surface_information, loop)
+def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
+    """A registration as an edge of the graph, with the systematic part of its error."""
+    information, surface_information = (
+        _with_systematic_error(np.asarray(x, np.float64), config)
+        for x in (found.information, found.surface_information)
+    )
+    return Edge(target, source, found.T_target_source, information, surface_information, False)
+
+
+def _with_systematic_error(information: Float[np.ndarray, "6 6"], config: GraphConfig) -> Array:
+    """Information after an error is added that more points or matches make no smaller.
+
+    The depth camera's own distortion moves with the camera, and holds every registration back a little.
+    """
+    sigmas = np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3)
+    # (I^-1 + S)^-1 without the inverse of I, which is singular where the surface leaves directions free.
+    total = np.linalg.solve(np.eye(6) + information @ np.diag(sigmas**2), information)
+    return jnp.asarray((total + total.T) / 2, jnp.float32)
 
 
 def neighbours(state: SlamState) -> tuple[tuple[int, int], ...]:

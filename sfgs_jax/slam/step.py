@@ -219,7 +219,7 @@ def _next_keyframe(state: SlamState, observation: Observation, tracking: Trackin
     if not state.config.graph.enabled:
         return state
     state = share_landmarks(state, target, source, tracking.found)
-    state = replace(state, edges=(*state.edges, edge_of(target, source, tracking.found)))
+    state = replace(state, edges=(*state.edges, edge_of(target, source, tracking.found, state.config.graph)))
     near = neighbours(state)
     far = tuple(pair for pair in loop_pairs(state) if pair not in near and pair[0] != target)
     return replace(state, pending=(*state.pending, *near, *far))
@@ -244,9 +244,9 @@ def _advance_graph(state: SlamState, new_keyframe: bool) -> tuple[SlamState, boo
         state = replace(state, pending=rest)
         if is_edge(state, found, correction):
             state = share_landmarks(state, target, source, found)
-            state = replace(state, edges=(*state.edges, edge_of(target, source, found)))
+            state = replace(state, edges=(*state.edges, edge_of(target, source, found, config)))
         elif is_candidate(state, target, source, found):
-            state, closed_now = believe(with_candidate(state, edge_of(target, source, found)))
+            state, closed_now = believe(with_candidate(state, edge_of(target, source, found, config)))
             closed |= closed_now
     if closed or (not state.pending and (waited or new_keyframe)):
         state = optimise_window(optimise_poses(state))
