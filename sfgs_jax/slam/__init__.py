@@ -14,6 +14,7 @@ from sfgs_jax.slam.driver import TooManySkipped as TooManySkipped
 from sfgs_jax.slam.driver import load_run as load_run
 from sfgs_jax.slam.driver import run as run
 from sfgs_jax.slam.driver import save_run as save_run
+from sfgs_jax.slam.nodes import Keyframe as Keyframe
 from sfgs_jax.slam.observation import Observation as Observation
 from sfgs_jax.slam.observation import observe as observe
 from sfgs_jax.slam.outputs import OUTPUT_FILES as OUTPUT_FILES
@@ -25,7 +26,6 @@ from sfgs_jax.slam.presets import PRESETS as PRESETS
 from sfgs_jax.slam.registration import Carrier as Carrier
 from sfgs_jax.slam.registration import Registration as Registration
 from sfgs_jax.slam.registration import register as register
-from sfgs_jax.slam.state import Keyframe as Keyframe
 from sfgs_jax.slam.state import SlamState as SlamState
 from sfgs_jax.slam.state import View as View
 from sfgs_jax.slam.state import init as init

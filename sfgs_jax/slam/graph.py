@@ -11,8 +11,9 @@ from jaxtyping import Array, Float
 from sfgs_jax.factor_graph import FactorGraph, RelativePose, SolverConfig, Status, Values, solve
 from sfgs_jax.geometry import Kernel, se3
 from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.nodes import Edge, Keyframe
 from sfgs_jax.slam.registration import Carrier, Registration, register
-from sfgs_jax.slam.state import Edge, Keyframe, SlamState
+from sfgs_jax.slam.state import SlamState
 
 SOLVER = SolverConfig(max_iterations=15)
 

@@ -8,8 +8,9 @@ import numpy as np
 from sfgs_jax.factor_graph import Values, consistent_loops
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.graph import padded_poses, relative_poses, room_for, travelled
+from sfgs_jax.slam.nodes import Edge
 from sfgs_jax.slam.registration import Carrier, Registration
-from sfgs_jax.slam.state import Edge, SlamState
+from sfgs_jax.slam.state import SlamState
 from sfgs_jax.slam.tracking import similarities
 
 

@@ -3,49 +3,15 @@
 import equinox as eqx
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Float, UInt8
 
 from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.slam.config import SlamConfig
+from sfgs_jax.slam.frame_log import FrameLog, trajectory_of
 from sfgs_jax.slam.gaussian_map import GaussianMap, empty_map
-from sfgs_jax.slam.observation import Extractor, Observation, load_extractor
+from sfgs_jax.slam.nodes import Edge, Keyframe
+from sfgs_jax.slam.observation import Extractor, load_extractor
 from sfgs_jax.splatting import Gaussians
-
-
-class Keyframe(eqx.Module):
-    """A frame that others are registered to: a node of the graph.
-
-    Attributes:
-        observation: its surface and keypoints.
-        T_world_cam: its pose.
-        landmarks: (K,) number of the landmark that each keypoint shows, -1 where it shows none.
-        frame: number of the frame it was.
-    """
-
-    observation: Observation
-    T_world_cam: jaxlie.SE3
-    landmarks: Int[np.ndarray, " k"]
-    frame: int
-
-
-class Edge(eqx.Module):
-    """A registration of one keyframe to another.
-
-    Attributes:
-        target: number of the keyframe registered to.
-        source: number of the keyframe registered, the later one.
-        T_target_source: the motion found.
-        information: (6, 6) of its tangent, by surface and keypoints.
-        surface_information: (6, 6) by the surface alone.
-        loop: whether it closes a loop.
-    """
-
-    target: int
-    source: int
-    T_target_source: jaxlie.SE3
-    information: Float[Array, "6 6"]
-    surface_information: Float[Array, "6 6"]
-    loop: bool
 
 
 class View(eqx.Module):
@@ -64,35 +30,6 @@ class View(eqx.Module):
     keyframe: int
     T_keyframe_cam: jaxlie.SE3
     frame: int
-
-
-class FrameLog(eqx.Module):
-    """Where each tracked frame was, relative to the keyframe that it was registered to.
-
-    Attributes:
-        timestamps: (n,) seconds, float64.
-        numbers: (n,) of the frames.
-        keyframes: (n,) number of each frame's keyframe.
-        motions: (n, 7) `T_keyframe_cam` as wxyz_xyz.
-    """
-
-    timestamps: Float[np.ndarray, " n"]
-    numbers: Int[np.ndarray, " n"]
-    keyframes: Int[np.ndarray, " n"]
-    motions: Float[np.ndarray, "n 7"]
-
-    def with_frame(self, timestamp: float, number: int, keyframe: int, motion: jaxlie.SE3) -> "FrameLog":
-        """The log with one more frame."""
-        return FrameLog(
-            np.append(self.timestamps, timestamp),
-            np.append(self.numbers, number),
-            np.append(self.keyframes, keyframe),
-            np.concatenate([self.motions, np.asarray(motion.wxyz_xyz)[None]]),
-        )
-
-    def positions(self, numbers: list[int]) -> Int[np.ndarray, " k"]:
-        """Where in the log the frames of these ascending numbers are."""
-        return np.flatnonzero(np.isin(self.numbers, numbers))
 
 
 class MapState(eqx.Module):
@@ -196,10 +133,7 @@ class SlamState(eqx.Module):
     @property
     def trajectory(self) -> Trajectory:
         """Poses of the tracked frames, by where their keyframes are now."""
-        if not len(self.log.timestamps):
-            return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-        keyframes, motions = se3.matrices_of(self.keyframe_poses), se3.matrices_of(self.log.motions)
-        return Trajectory(self.log.timestamps, keyframes[self.log.keyframes] @ motions)
+        return trajectory_of(self.log, self.keyframes, self.edges)
 
 
 def init(camera: Camera, config: SlamConfig | None = None) -> SlamState:

@@ -15,9 +15,10 @@ from sfgs_jax.geometry import Frame, clean_depth, se3
 from sfgs_jax.slam.graph import edge_of, is_edge, neighbours, optimise_poses, register_pair
 from sfgs_jax.slam.loops import believe, is_candidate, loop_pairs, with_candidate
 from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, view_of, warm_up
+from sfgs_jax.slam.nodes import Keyframe
 from sfgs_jax.slam.observation import Observation, observe
 from sfgs_jax.slam.registration import Carrier, register
-from sfgs_jax.slam.state import Keyframe, MapState, SlamState, View
+from sfgs_jax.slam.state import MapState, SlamState, View
 from sfgs_jax.slam.tracking import Tracking, has_left, motion_since, track
 from sfgs_jax.slam.window import optimise_window, share_landmarks
 

@@ -16,8 +16,9 @@ import numpy as np
 from sfgs_jax.geometry import Camera, InputError, se3
 from sfgs_jax.slam.array_file import read_arrays, write_arrays
 from sfgs_jax.slam.config import SlamConfig
+from sfgs_jax.slam.nodes import Edge, Keyframe
 from sfgs_jax.slam.observation import Observation, blank_observation
-from sfgs_jax.slam.state import Edge, Keyframe, SlamState, View, init
+from sfgs_jax.slam.state import SlamState, View, init
 
 STATE_FILE = "state.arrays"
 

@@ -21,8 +21,9 @@ from sfgs_jax.factor_graph import (
 from sfgs_jax.factor_graph.structure import CLUSTER_LANDMARKS
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.graph import SOLVER, relative_poses, with_poses
+from sfgs_jax.slam.nodes import Edge
 from sfgs_jax.slam.registration import Registration
-from sfgs_jax.slam.state import Edge, SlamState
+from sfgs_jax.slam.state import SlamState
 
 _PRIOR_SIGMAS = (0.02, 0.02)
 """How firmly the window's poses stay where the rest of the graph has them: metres, radians."""

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 import pytest
 
@@ -12,9 +11,9 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.graph import neighbours, optimise_poses
 from sfgs_jax.slam.loops import believe, is_candidate, with_candidate
 from sfgs_jax.slam.matched_motion import MatchedMotion
+from sfgs_jax.slam.nodes import Edge, Keyframe
 from sfgs_jax.slam.observation import blank_observation
 from sfgs_jax.slam.registration import Carrier, Registration
-from sfgs_jax.slam.state import Edge, Keyframe
 
 COUNT = 16
 
@@ -155,4 +154,20 @@ def test_frames_follow_their_keyframe(drifted):
     after = replace(state, keyframes=tuple(keyframes)).trajectory.poses[0]
     expected = np.asarray(se3.matrix(moved)) @ state.trajectory.poses[0]
     np.testing.assert_allclose(after, expected, atol=1e-5)
-    assert isinstance(moved, jaxlie.SE3)
+
+
+def test_frames_between_two_keyframes_share_out_what_the_graph_found(drifted):
+    """The second keyframe moves by 4 cm and turns: the frames on the way to it move by their share."""
+    log, keyframes = drifted.log, list(drifted.keyframes)
+    step = drifted.edges[0].T_target_source
+    half = se3.exp(se3.log(step) / 2)
+    for number, keyframe, motion in ((0, 0, se3.identity()), (5, 0, half), (10, 1, se3.identity())):
+        log = log.with_frame(number / 30, number, keyframe, motion)
+    before = replace(drifted, log=log).trajectory.poses
+    shift = se3.exp(jnp.asarray([0.04, 0.0, 0.0, 0.0, 0.02, 0.0]))
+    keyframes[1] = replace(keyframes[1], T_world_cam=se3.compose(keyframes[1].T_world_cam, shift))
+    after = replace(drifted, log=log, keyframes=tuple(keyframes)).trajectory.poses
+    moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1)
+    np.testing.assert_allclose(moved, [0.0, 0.02, 0.04], atol=1e-4)
+    turned = np.linalg.inv(before[1]) @ after[1]
+    np.testing.assert_allclose(np.arccos((np.trace(turned[:3, :3]) - 1) / 2), 0.01, atol=1e-4)

@@ -59,6 +59,7 @@ def test_frames_that_nobody_was_ready_for_are_left_out():
     taken = []
     recording: Any = Slow()
     for number, frame in play(recording):
+        assert isinstance(frame, Frame)
         assert number == frame.timestamp
         taken.append(number)
         time.sleep(0.035)
