@@ -12,8 +12,7 @@ from sfgs_jax.geometry import Camera
 class Undistortion:
     """Draws colour and depth as a pinhole camera of the same intrinsics would have seen them.
 
-    Where the lens saw nothing of what the pinhole camera would see, there is no depth, and the colour of the
-    border goes on: a black frame would be an edge that moves with the camera.
+    Where the lens saw nothing of what the pinhole camera would see, the images are black and without depth.
     """
 
     def __init__(self, camera: Camera, coefficients: Sequence[float]) -> None:
@@ -38,6 +37,6 @@ class Undistortion:
             return rgb, depth
         # Between two depths lies no surface, so depth is taken from the nearest pixel.
         return (
-            cv2.remap(rgb, self._columns, self._rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+            cv2.remap(rgb, self._columns, self._rows, cv2.INTER_LINEAR),
             cv2.remap(depth, self._columns, self._rows, cv2.INTER_NEAREST),
         )
