@@ -116,8 +116,6 @@ class View:
             height=self.camera.height,
             tile_size=config.tile_size,
             pair_capacity=config.pair_capacity,
-            near=config.near,
-            far=config.far,
         )
 
 

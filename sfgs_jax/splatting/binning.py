@@ -46,19 +46,17 @@ def bin_into_tiles(
     height: int,
     tile_size: int,
     pair_capacity: int,
-    near: float,
-    far: float,
 ) -> TileLists:
     """Lists of the Gaussians that reach each tile."""
     columns, rows = tile_grid(width, height, tile_size)
     tiles = columns * rows
-    order = depth_order(projected.depths, projected.visible, near, far)
+    order = depth_order(projected.depths, projected.visible)
     spans, row_overflow = _row_spans(projected, order, columns, rows, tile_size, pair_capacity)
 
     entry, offset, pair_overflow = _expand(spans.counts, pair_capacity)
     tile = spans.first_tiles[entry] + offset
     tile = jnp.where(offset >= 0, tile, tiles)
-    by_tile = stable_argsort(tile.astype(jnp.uint32), tiles.bit_length())
+    by_tile = stable_argsort(tile.astype(jnp.uint32))
     counts = jnp.zeros(tiles, jnp.int32).at[tile].add(1, mode="drop")
     return TileLists(
         gaussians=spans.gaussians[entry[by_tile]],

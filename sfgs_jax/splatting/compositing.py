@@ -71,7 +71,7 @@ class _Blocks(eqx.Module):
 def _make_blocks(lists: TileLists, columns: int, tile_size: int, dtype: jnp.dtype) -> _Blocks:
     tiles, capacity = lists.counts.shape[0], lists.gaussians.shape[0]
     size = min(tiles, max(1, _BLOCK_PIXELS // tile_size**2))
-    order = stable_argsort((capacity - lists.counts).astype(jnp.uint32), capacity.bit_length())
+    order = stable_argsort((capacity - lists.counts).astype(jnp.uint32))
     empty = -tiles % size
 
     def blocked(values: Array) -> Array:

@@ -74,8 +74,6 @@ def _rasterize(
         height=height,
         tile_size=config.tile_size,
         pair_capacity=config.pair_capacity,
-        near=config.near,
-        far=config.far,
     )
     features = jnp.where(projected.visible[:, None], features, 0)
     columns = [projected.centres, projected.whitening, projected.log_opacities[:, None]]
