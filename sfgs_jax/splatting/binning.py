@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from sfgs_jax.splatting.projection import MIN_ALPHA, Projected
-from sfgs_jax.splatting.sorting import depth_order, stable_argsort
+from sfgs_jax.splatting.sorting import depth_order, sort_by_key
 
 _SLACK = 1e-4
 """Added to the ellipse's squared radius (of 0 to 11), so that rounding drops no tile that is needed."""
@@ -56,10 +56,11 @@ def bin_into_tiles(
     entry, offset, pair_overflow = _expand(spans.counts, pair_capacity)
     tile = spans.first_tiles[entry] + offset
     tile = jnp.where(offset >= 0, tile, tiles)
-    by_tile = stable_argsort(tile.astype(jnp.uint32))
+    # A Gaussian is in a tile's list once, so ranks in depth put the list in order.
+    ranks = sort_by_key(tile.astype(jnp.uint32), spans.ranks[entry])
     counts = jnp.zeros(tiles, jnp.int32).at[tile].add(1, mode="drop")
     return TileLists(
-        gaussians=spans.gaussians[entry[by_tile]],
+        gaussians=order[ranks],
         starts=jnp.cumsum(counts) - counts,
         counts=counts,
         overflow=row_overflow + pair_overflow,
@@ -84,7 +85,7 @@ def count_pairs(
 class _RowSpans(eqx.Module):
     """Stretches of adjacent tiles in one row that one Gaussian reaches."""
 
-    gaussians: Array
+    ranks: Array  # places of the Gaussians in `order`
     first_tiles: Array
     counts: Array
 
@@ -99,7 +100,7 @@ def _row_spans(
     row = first_row[owner] + offset
     first_column, counts = ellipses.at(owner).tile_columns(row, columns, tile_size)
     spans = _RowSpans(
-        gaussians=order[owner],
+        ranks=owner,
         first_tiles=row * columns + first_column,
         counts=jnp.where(offset >= 0, counts, 0),
     )
