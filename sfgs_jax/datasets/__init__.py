@@ -20,5 +20,5 @@ from sfgs_jax.datasets.recording import Recording as Recording
 from sfgs_jax.datasets.recording_pairs import RecordingPair as RecordingPair
 from sfgs_jax.datasets.recording_pairs import recording_pairs as recording_pairs
 from sfgs_jax.datasets.selection import Selection as Selection
-from sfgs_jax.datasets.synthetic import SyntheticRoom as SyntheticRoom
+from sfgs_jax.datasets.synthetic import SyntheticRecording as SyntheticRecording
 from sfgs_jax.datasets.writers import write_recording as write_recording

@@ -9,7 +9,7 @@ from sfgs_jax.datasets.file_recording import FileRecording
 from sfgs_jax.datasets.options import ReaderOptions
 from sfgs_jax.datasets.recording import Recording
 from sfgs_jax.datasets.selection import select
-from sfgs_jax.datasets.synthetic import SyntheticRoom
+from sfgs_jax.datasets.synthetic import SyntheticRecording
 from sfgs_jax.geometry import InputError
 
 
@@ -51,7 +51,7 @@ def open_recording(
 
     Args:
         source: a folder, or "synthetic" or "synthetic:frames=60,width=160,height=120,seed=1,noise=1" for the
-            built-in synthetic room.
+            built-in synthetic room, or "synthetic:place=ring,frames=1000" for another place.
         dataset: one of `LAYOUTS`, where the layout isn't to be recognised.
         options: how to read; None means the defaults.
 
@@ -64,7 +64,7 @@ def open_recording(
         raise InputError(f"There is no layout {dataset!r}; choose from {', '.join(LAYOUTS)}.")
     text = str(source)
     if text == _SYNTHETIC or text.startswith(_SYNTHETIC + ":") or dataset == _SYNTHETIC:
-        return select(SyntheticRoom.parse(text), options)
+        return select(SyntheticRecording.parse(text), options)
     path = Path(source).expanduser()
     if not path.exists():
         raise InputError(f"There is no {path}.")

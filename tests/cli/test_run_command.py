@@ -12,7 +12,7 @@ import pytest
 
 import sfgs_jax.cli.run as run_module
 from sfgs_jax.cli.main import main
-from sfgs_jax.datasets import SyntheticRoom, write_recording
+from sfgs_jax.datasets import SyntheticRecording, write_recording
 from sfgs_jax.geometry import read_tum
 from sfgs_jax.slam import OUTPUT_FILES, outputs
 from sfgs_jax.splatting import load_ply
@@ -33,7 +33,7 @@ NUM_FRAMES = 12
 def recording_folder(tmp_path_factory):
     """A plain folder with a small recording."""
     folder = tmp_path_factory.mktemp("recordings") / "room"
-    write_recording(SyntheticRoom(num_frames=NUM_FRAMES, width=96, height=72), folder, layout="folder")
+    write_recording(SyntheticRecording(num_frames=NUM_FRAMES, width=96, height=72), folder, layout="folder")
     return folder
 
 

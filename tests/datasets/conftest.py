@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from sfgs_jax.datasets import SyntheticRoom
+from sfgs_jax.datasets import SyntheticRecording
 
 
 @pytest.fixture(scope="session")
-def room() -> SyntheticRoom:
+def room() -> SyntheticRecording:
     """A synthetic room of one small image size: each size compiles anew."""
-    return SyntheticRoom(num_frames=5, width=80, height=60)
+    return SyntheticRecording(num_frames=5, width=80, height=60)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from sfgs_jax.datasets import (
     LAYOUTS,
     ReaderOptions,
     Recording,
-    SyntheticRoom,
+    SyntheticRecording,
     open_recording,
     write_recording,
 )
@@ -106,6 +106,6 @@ def test_camera_file_that_is_not_there(room, tmp_path):
 
 def test_rooms_of_impossible_size():
     with pytest.raises(InputError, match="at least 1 frame"):
-        SyntheticRoom(num_frames=0)
+        SyntheticRecording(num_frames=0)
     with pytest.raises(InputError, match="16x16"):
-        SyntheticRoom(width=8)
+        SyntheticRecording(width=8)

@@ -1,17 +1,17 @@
-"""The synthetic room: exact geometry, and images that a tracker and a mapper can use."""
+"""Synthetic recordings: exact geometry, and images that a tracker and a mapper can use."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.datasets import SyntheticRoom
+from sfgs_jax.datasets import SyntheticRecording
+from sfgs_jax.datasets.synthetic.furnished_room import ROOM_SIZE
 from sfgs_jax.datasets.synthetic.noise import add_noise
 from sfgs_jax.datasets.synthetic.path import closed_path
 from sfgs_jax.datasets.synthetic.render import render_view
-from sfgs_jax.datasets.synthetic.scene import ROOM_SIZE
 from sfgs_jax.datasets.synthetic.textures import _wave
-from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.geometry import Camera, InputError, se3
 
 
 def _steps(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -56,10 +56,10 @@ def test_long_path_sees_all_around_and_stays_in_the_free_middle():
 def test_frames_are_the_same_in_any_order_and_differ_by_seed(room):
     first = room[3]
     room[1]
-    again = SyntheticRoom(num_frames=5, width=80, height=60)[3]
+    again = SyntheticRecording(num_frames=5, width=80, height=60)[3]
     np.testing.assert_array_equal(first.rgb, again.rgb)
     np.testing.assert_array_equal(first.depth, again.depth)
-    other = SyntheticRoom(num_frames=5, width=80, height=60, seed=1)[3]
+    other = SyntheticRecording(num_frames=5, width=80, height=60, seed=1)[3]
     assert np.abs(np.asarray(other.rgb) - first.rgb).mean() > 0.02
     assert room[-1].timestamp == room.timestamps[-1]
     with pytest.raises(IndexError):
@@ -147,7 +147,7 @@ def test_depth_and_colour_agree_with_the_poses(room):
 
 
 def test_surfaces_have_texture_everywhere_but_not_at_the_pixel_scale():
-    room = SyntheticRoom(num_frames=2, width=80, height=60)
+    room = SyntheticRecording(num_frames=2, width=80, height=60)
     # At twice the resolution the same picture appears, so little is lost between pixels.
     grey = np.asarray(room[0].rgb).mean(axis=2)
     blocks = grey[:60, :80].reshape(4, 15, 5, 16).std(axis=(1, 3))
@@ -162,7 +162,7 @@ def test_waves_are_cosines_of_whole_periods():
 
 
 def test_noise_is_a_kinects(key):
-    room = SyntheticRoom(num_frames=5, width=80, height=60)
+    room = SyntheticRecording(num_frames=5, width=80, height=60)
     camera = room.camera
     view = render_view(room._scene, camera, se3.from_matrix(room.ground_truth.poses[0]))
     samples = [add_noise(k, view, camera) for k in jax.random.split(key, 40)]
@@ -187,7 +187,7 @@ def test_noise_is_a_kinects(key):
 
 
 def test_noisy_frames_are_deterministic():
-    noisy = SyntheticRoom(num_frames=5, width=80, height=60, noise=True)
+    noisy = SyntheticRecording(num_frames=5, width=80, height=60, noise=True)
     np.testing.assert_array_equal(noisy[2].depth, noisy[2].depth)
     assert np.any(np.asarray(noisy[2].depth) != np.asarray(noisy[3].depth))
 
@@ -196,3 +196,40 @@ def test_camera_is_an_ordinary_one(room):
     assert isinstance(room.camera, Camera)
     assert float(room.camera.fx) == pytest.approx(0.82 * 80)
     assert (float(room.camera.cx), float(room.camera.cy)) == (39.5, 29.5)
+
+
+def test_ring_comes_back_to_where_it_began_at_a_walking_pace():
+    poses = SyntheticRecording(num_frames=1000, width=80, height=60, place="ring").ground_truth.poses
+    metres, degrees = _steps(poses)
+    assert 30 < metres.sum() < 36
+    assert metres.max() < 0.05
+    assert degrees.max() < 5
+    late = poses[-80:]
+    nearest = np.linalg.norm(late[:, :2, 3] - poses[0, :2, 3], axis=1).argmin()
+    assert 0 < nearest < 79
+    assert late[nearest, :3, 2] @ poses[0, :3, 2] > 0.8
+
+
+def test_twin_rooms_look_the_same_from_corresponding_places():
+    twins = SyntheticRecording(num_frames=120, width=80, height=60, place="twins")
+    T = twins.ground_truth.poses[10].copy()
+    images = []
+    for x in (-6.0, 6.0):
+        T[:2, 3] = x, -0.4
+        images.append(render_view(twins._scene, twins.camera, se3.from_matrix(T)))
+    np.testing.assert_allclose(images[0].depth, images[1].depth, rtol=1e-4, atol=1e-4)
+    # But for the lamps, whose light hardly reaches either.
+    assert np.abs(np.asarray(images[0].rgb) - np.asarray(images[1].rgb)).mean() < 0.02
+
+
+@pytest.mark.parametrize("place", ["wall", "sphere"])
+def test_bare_places_have_no_texture_when_seen_alone(place):
+    recording = SyntheticRecording(num_frames=60, width=80, height=60, place=place)
+    grey = np.asarray(recording[30].rgb).mean(axis=2)[15:45, 20:60]
+    assert np.abs(np.diff(grey, axis=1)).max() < 0.03
+    assert np.ptp(np.asarray(recording[0].rgb).mean(axis=2)) > 0.3
+
+
+def test_unknown_place_is_named():
+    with pytest.raises(InputError, match="cellar"):
+        SyntheticRecording.parse("synthetic:place=cellar")

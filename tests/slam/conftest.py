@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from sfgs_jax.datasets import SyntheticRoom
+from sfgs_jax.datasets import SyntheticRecording
 from sfgs_jax.gicp import GicpConfig
 from sfgs_jax.slam import FeaturesConfig, GraphConfig, MappingConfig, SlamConfig, TrackingConfig
 
@@ -12,7 +12,7 @@ from sfgs_jax.slam import FeaturesConfig, GraphConfig, MappingConfig, SlamConfig
 @pytest.fixture(scope="session")
 def room():
     """Twelve frames of the synthetic room at 128 x 96, and their camera and poses."""
-    return SyntheticRoom(num_frames=12, width=128, height=96)
+    return SyntheticRecording(num_frames=12, width=128, height=96)
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax import Frame, slam
-from sfgs_jax.datasets import SyntheticRoom
+from sfgs_jax.datasets import SyntheticRecording
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam import FeaturesConfig
 
@@ -14,7 +14,7 @@ from sfgs_jax.slam import FeaturesConfig
 @pytest.fixture(scope="module")
 def long_room():
     """Frames of a swing aside and back, large enough for keypoints to be found again by."""
-    return SyntheticRoom(num_frames=60, width=320, height=240)
+    return SyntheticRecording(num_frames=60, width=320, height=240)
 
 
 @pytest.fixture

@@ -1,3 +1,3 @@
-"""The built-in synthetic room."""
+"""Built-in synthetic recordings."""
 
-from sfgs_jax.datasets.synthetic.room import SyntheticRoom as SyntheticRoom
+from sfgs_jax.datasets.synthetic.recording import SyntheticRecording as SyntheticRecording

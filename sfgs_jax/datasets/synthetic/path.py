@@ -1,4 +1,4 @@
-"""The hand-held camera's path through the room."""
+"""Paths of a hand-held camera."""
 
 import numpy as np
 
@@ -35,10 +35,54 @@ def closed_path(num_frames: int) -> np.ndarray:
     yaw = angle + np.pi + np.deg2rad(8) * strength * np.sin(phase)
     pitch = np.deg2rad(-14) + np.deg2rad(7) * strength * np.sin(swing + 0.7)
     roll = np.deg2rad(3) * strength * np.sin(2 * phase)
-    poses = np.tile(np.eye(4), (num_frames, 1, 1))
+    return looking(position, yaw, pitch, roll)
+
+
+def looking(position: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """(N, 4, 4) `T_world_cam` of cameras that look along yaw and up by pitch, turned about the view by roll.
+
+    Args:
+        position: (N, 3) metres.
+        yaw: (N,) radians from the world's x axis towards y.
+        pitch: (N,) radians above the horizon.
+        roll: (N,) radians.
+    """
+    poses = np.tile(np.eye(4), (len(position), 1, 1))
     poses[:, :3, :3] = _rotations(yaw, pitch, roll)
     poses[:, :3, 3] = position
     return poses
+
+
+def along(corners: np.ndarray, num_frames: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions at equal steps along a polyline whose corners are rounded, and the yaw of the way there.
+
+    Args:
+        corners: (M, 2) metres, from the first to the last.
+        num_frames: how many positions.
+        radius: of a walker's turns, metres: the way is averaged over as much before and after.
+
+    Returns:
+        (N, 2) positions and (N,) yaw, radians, without jumps.
+    """
+    legs = np.diff(corners, axis=0)
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(legs, axis=1))])
+    fine = np.linspace(0, length[-1], 20 * num_frames)
+    line = np.stack([np.interp(fine, length, corners[:, i]) for i in range(2)], axis=1)
+    half = max(1, round(radius / (fine[1] - fine[0])))
+    kernel = np.full(2 * half + 1, 1 / (2 * half + 1))
+    smooth = np.stack(
+        [
+            np.convolve(np.pad(line[:, i], half, mode="reflect", reflect_type="odd"), kernel, "valid")
+            for i in range(2)
+        ],
+        axis=1,
+    )
+    way = np.gradient(smooth, axis=0)
+    travelled = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1))])
+    at = np.linspace(0, travelled[-1], num_frames)
+    yaw = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    position = np.stack([np.interp(at, travelled, smooth[:, i]) for i in range(2)], axis=1)
+    return position, np.interp(at, travelled, yaw)
 
 
 def _rotations(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:

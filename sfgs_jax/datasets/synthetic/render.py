@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
 
+from sfgs_jax.datasets.synthetic.furnished_room import ROOM_SIZE
 from sfgs_jax.datasets.synthetic.raycast import Hits, cast
-from sfgs_jax.datasets.synthetic.scene import ROOM_SIZE, Scene
+from sfgs_jax.datasets.synthetic.scene import Scene
 from sfgs_jax.datasets.synthetic.textures import surface_colours
 from sfgs_jax.geometry import Camera, se3
 
@@ -78,7 +79,9 @@ def _shade(
     footprint = distance / camera.fx / jnp.maximum(facing, 0.1)
 
     world = se3.transform(T_world_cam, points)
-    colour = surface_colours(scene.materials, scene.waves, scene.material[triangle], world, footprint)
+    colour = surface_colours(
+        scene.materials, scene.waves, scene.material[triangle], world - scene.origin[triangle], footprint
+    )
     world_normal = normal @ se3.rotation_matrix(T_world_cam).T
     light = jnp.full(len(points), _AMBIENT, jnp.float32)
     for lamp in _LAMPS:

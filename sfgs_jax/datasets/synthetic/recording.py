@@ -1,4 +1,4 @@
-"""The synthetic room as a recording."""
+"""A synthetic place as a recording."""
 
 from dataclasses import dataclass, field
 
@@ -6,9 +6,9 @@ import jax
 import numpy as np
 
 from sfgs_jax.datasets.synthetic.noise import add_noise
-from sfgs_jax.datasets.synthetic.path import closed_path
+from sfgs_jax.datasets.synthetic.places import PLACES
 from sfgs_jax.datasets.synthetic.render import render_view
-from sfgs_jax.datasets.synthetic.scene import Scene, furnished_room
+from sfgs_jax.datasets.synthetic.scene import Scene
 from sfgs_jax.geometry import Camera, Frame, InputError, Trajectory, se3
 
 _FRAMES_PER_SECOND = 30.0
@@ -16,8 +16,8 @@ _FIELDS = {"frames": "num_frames", "width": "width", "height": "height", "seed":
 
 
 @dataclass(frozen=True)
-class SyntheticRoom:
-    """A furnished room, ray-cast along a path that comes back to where it began.
+class SyntheticRecording:
+    """A furnished room, or a harder place, ray-cast along a camera's way through it.
 
     A `Recording` whose frames are rendered when asked for: the same for the same parameters, in any order.
     """
@@ -29,33 +29,43 @@ class SyntheticRoom:
     height: int = 240
     """Image height, pixels."""
     seed: int = 0
-    """Of the room's colours and furniture, and of the noise."""
+    """Of the place's colours and furniture, and of the noise."""
     noise: bool = False
     """Whether images have the noise of a Kinect; else they are ideal."""
+    place: str = "room"
+    """`room`, whose path ends where it began; `ring`, a corridor of 32 m around a block; `twins`, two rooms
+    that look the same; `wall` and `sphere`, which are bare and for a while all there is to see."""
     _scene: Scene = field(init=False, repr=False, compare=False)
     _trajectory: Trajectory = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        if self.place not in PLACES:
+            raise InputError(f"There is no synthetic place {self.place!r}; choose from {', '.join(PLACES)}.")
         if self.num_frames < 1 or min(self.width, self.height) < 16 or self.seed < 0:
             raise InputError(
-                "A synthetic room needs at least 1 frame of at least 16x16 pixels, and a seed from 0, not "
-                f"{self.num_frames} of {self.width}x{self.height} with seed {self.seed}."
+                "A synthetic recording needs at least 1 frame of at least 16x16 pixels, and a seed from 0, "
+                f"not {self.num_frames} of {self.width}x{self.height} with seed {self.seed}."
             )
         timestamps = np.arange(self.num_frames, dtype=np.float64) / _FRAMES_PER_SECOND
-        object.__setattr__(self, "_scene", furnished_room(self.seed))
-        object.__setattr__(self, "_trajectory", Trajectory(timestamps, closed_path(self.num_frames)))
+        scene, poses = PLACES[self.place](self.seed, self.num_frames)
+        object.__setattr__(self, "_scene", scene)
+        object.__setattr__(self, "_trajectory", Trajectory(timestamps, poses))
 
     @classmethod
-    def parse(cls, source: str) -> "SyntheticRoom":
-        """Room of a source string such as `synthetic:frames=60,width=160,height=120,seed=1,noise=1`.
+    def parse(cls, source: str) -> "SyntheticRecording":
+        """Of a source string such as `synthetic:place=ring,frames=60,width=160,height=120,seed=1,noise=1`.
 
         Raises:
-            InputError: an unknown name, or a value that is no whole number.
+            InputError: an unknown name or place, or another value that is no whole number.
         """
         _, _, text = source.partition(":")
         values: dict[str, int] = {}
+        place = "room"
         for item in filter(None, text.split(",")):
             name, _, value = item.partition("=")
+            if name.strip() == "place":
+                place = value.strip()
+                continue
             if name.strip() not in _FIELDS or not value.strip().isdecimal():
                 raise InputError(
                     f"{source!r} is not understood at {item!r}; "
@@ -63,7 +73,7 @@ class SyntheticRoom:
                 )
             values[_FIELDS[name.strip()]] = int(value)
         noise = bool(values.pop("noise", 0))
-        return cls(**values, noise=noise)
+        return cls(**values, noise=noise, place=place)
 
     @property
     def name(self) -> str:

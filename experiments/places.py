@@ -1,0 +1,87 @@
+"""Synthetic places that are hard: a long loop, two rooms that look the same, a bare wall, a bare sphere.
+
+    python -m experiments.places [--places ring twins wall sphere] [--seeds 0]
+
+320x240 with the noise of a Kinect, tracking without a map. *Tracked* counts frames that have a pose; *worst*
+is the largest error of these after SE(3) alignment. *End* is how far the end of the recording is from where
+it should be, seen from its start: what a loop has to close. A loop is false if it is off by more than 0.3 m
+or 10 degrees from the truth.
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+from rich.progress import track
+
+from sfgs_jax.datasets import SyntheticRecording, prefetch
+from sfgs_jax.evaluation import ate
+from sfgs_jax.geometry import FrameError, se3
+from sfgs_jax.slam import SlamConfig, init
+from sfgs_jax.slam.state import SlamState
+from sfgs_jax.slam.step import follow
+
+FRAMES = {"ring": 1000, "twins": 600, "wall": 300, "sphere": 400}
+WITH_LOOPS = SlamConfig()
+WITHOUT = replace(WITH_LOOPS, graph=replace(WITH_LOOPS.graph, loops=False))
+MARGIN_METRES, MARGIN_DEGREES = 0.3, 10.0
+
+
+def angle(T: np.ndarray) -> float:
+    """Of a motion's rotation, degrees."""
+    return float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
+
+
+def false_loops(state: SlamState, truth: np.ndarray) -> int:
+    """How many closed loops join what is not in one place."""
+    false = 0
+    for edge in (e for e in state.edges if e.loop):
+        a, b = (truth[state.keyframes[k].frame] for k in (edge.target, edge.source))
+        off = np.linalg.inv(np.linalg.inv(a) @ b) @ np.asarray(se3.matrix(edge.T_target_source))
+        false += bool(np.linalg.norm(off[:3, 3]) > MARGIN_METRES or angle(off) > MARGIN_DEGREES)
+    return false
+
+
+def measure(place: str, seed: int, config: SlamConfig, name: str) -> tuple[str, ...]:
+    """Track a place and give its row of the table."""
+    recording = SyntheticRecording(num_frames=FRAMES[place], noise=True, seed=seed, place=place)
+    state = init(recording.camera, config)
+    for _, frame in track(prefetch(recording), description=name, total=len(recording), transient=True):
+        if not isinstance(frame, FrameError):
+            state, _, _ = follow(state, frame)
+    truth, found = recording.ground_truth, state.trajectory
+    error = ate(found, truth)
+    matrices = truth.poses[np.searchsorted(truth.timestamps, found.timestamps - 1e-6)]
+    end = np.linalg.inv(matrices[0]) @ matrices[-1]
+    moved = np.linalg.inv(found.poses[0]) @ found.poses[-1]
+    return (
+        name,
+        str(seed),
+        f"{len(found)} / {len(recording)}",
+        f"{100 * error.rmse_m:.1f}",
+        f"{100 * error.max_m:.1f}",
+        f"{100 * np.linalg.norm(end[:3, 3] - moved[:3, 3]):.1f}",
+        str(len(state.keyframes)),
+        f"{state.num_loops} / {false_loops(state, truth.poses)}",
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--places", nargs="+", default=list(FRAMES), choices=list(FRAMES))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    arguments = parser.parse_args()
+    header = ("place", "seed", "tracked", "ATE cm", "worst cm", "end cm", "keyframes", "loops / false")
+    rows: list[tuple[str, ...]] = [header, tuple("---" for _ in header)]
+    for place in arguments.places:
+        for seed in arguments.seeds:
+            rows.append(measure(place, seed, WITH_LOOPS, place))
+            if place == "ring":
+                rows.append(measure(place, seed, WITHOUT, "ring without loops"))
+    for row in rows:
+        print("| " + " | ".join(row) + " |")
+
+
+if __name__ == "__main__":
+    main()
