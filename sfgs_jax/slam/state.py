@@ -10,7 +10,7 @@ from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frame_log import FrameLog, trajectory_of
 from sfgs_jax.slam.gaussian_map import GaussianMap, empty_map
 from sfgs_jax.slam.nodes import Edge, Keyframe
-from sfgs_jax.slam.observation import Extractor, load_extractor
+from sfgs_jax.slam.observation import Extractor, Observation, load_extractor
 from sfgs_jax.splatting import Gaussians
 
 
@@ -71,6 +71,8 @@ class SlamState(eqx.Module):
         reference: number of the keyframe that frames are registered to.
         T_reference_cam: pose there of the newest tracked frame.
         T_previous_current: motion between the two newest tracked frames.
+        last: what that frame showed, if it could be a keyframe and is none: a bridge to a frame that shares
+            too little with the reference.
         num_coasting: frames in a row that the motion model had a part in.
         log: where the tracked frames were.
         num_frames: frames seen.
@@ -90,6 +92,7 @@ class SlamState(eqx.Module):
     reference: int
     T_reference_cam: jaxlie.SE3
     T_previous_current: jaxlie.SE3
+    last: Observation | None
     num_coasting: int
     log: FrameLog
     num_frames: int
@@ -156,6 +159,7 @@ def init(camera: Camera, config: SlamConfig | None = None) -> SlamState:
         reference=0,
         T_reference_cam=se3.identity(),
         T_previous_current=se3.identity(),
+        last=None,
         num_coasting=0,
         log=empty,
         num_frames=0,

@@ -19,7 +19,7 @@ from sfgs_jax.slam.nodes import Keyframe
 from sfgs_jax.slam.observation import Observation, observe
 from sfgs_jax.slam.registration import Carrier, register
 from sfgs_jax.slam.state import MapState, SlamState, View
-from sfgs_jax.slam.tracking import Tracking, has_left, motion_since, track
+from sfgs_jax.slam.tracking import Tracking, has_left, motion_since, relocalise, track
 from sfgs_jax.slam.window import optimise_window, share_landmarks
 
 Stages = Callable[[str], AbstractContextManager[None]]
@@ -111,18 +111,19 @@ def follow(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> Follo
         depth, _ = _clean(jnp.asarray(frame.depth))
         observation = observe(frame, state.camera, state.extractor, state.config.tracking, depth=depth)
         state = replace(state, num_frames=number + 1)
-        tracking = _first(observation) if not state.keyframes else track(state, observation)
+        state, tracking = _find(state, observation)
         state = _placed(state, tracking)
     info = _info(state, tracking)
     if not info.tracked:
         return Followed(replace(state, num_lost=state.num_lost + 1), info, None)
 
     with stages("graph"):
+        could_be = _could_be_keyframe(tracking, observation)
         new_keyframe = True
         if not state.keyframes:
             state = _with_keyframe(state, observation, se3.identity(), number)
             _compile_ahead(state)
-        elif _should_be_keyframe(state, tracking, observation):
+        elif tracking.found is not None and has_left(tracking.found, state.config) and could_be:
             state = _next_keyframe(state, observation, tracking, number)
         else:
             new_keyframe = False
@@ -131,7 +132,9 @@ def follow(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> Follo
     view = None
     if new_keyframe or _view_is_due(state):
         view = view_of(frame, depth, state.mapping_factor, state.reference, state.T_reference_cam, number)
-    state = replace(state, log=log, last_view=state.last_view if view is None else number)
+    # What was no keyframe now may have to be one if the next frame has moved on too far.
+    last = observation if could_be and not new_keyframe else None
+    state = replace(state, log=log, last=last, last_view=state.last_view if view is None else number)
     info = info._replace(
         T_world_cam=state.T_world_cam,
         new_keyframe=new_keyframe,
@@ -180,6 +183,33 @@ def _compile_ahead(state: SlamState) -> None:
     twin = replace(twin, pending=((0, 1),))
     _advance_graph(twin, True)
     warm_up(twin.mapping, twin.keyframe_poses[:1])
+
+
+def _find(state: SlamState, observation: Observation) -> tuple[SlamState, Tracking]:
+    """Find a frame: in the reference, by way of the frame before, or in any keyframe.
+
+    Returns:
+        The state, in which the frame before is the newest keyframe if it was needed, and what was found.
+    """
+    if not state.keyframes:
+        return state, _first(observation)
+    tracking = track(state, observation)
+    if tracking.carrier == Carrier.NONE and state.last is not None:
+        bridged = _with_last_as_keyframe(state, state.last)
+        by_last = track(bridged, observation)
+        if by_last.carrier != Carrier.NONE:
+            return bridged, by_last
+    if tracking.carrier == Carrier.NONE:
+        tracking = relocalise(state, observation) or tracking
+    return state, tracking
+
+
+def _with_last_as_keyframe(state: SlamState, last: Observation) -> SlamState:
+    """The state with the newest tracked frame as a keyframe."""
+    target = state.keyframes[state.reference].observation
+    found = register(last, target, state.T_reference_cam, state.camera, state.config.tracking)
+    tracking = Tracking(state.reference, found, Carrier(int(found.carrier)), False)
+    return _next_keyframe(state, last, tracking, int(state.log.numbers[-1]))
 
 
 def _placed(state: SlamState, tracking: Tracking) -> SlamState:
@@ -254,15 +284,10 @@ def _advance_graph(state: SlamState, new_keyframe: bool) -> tuple[SlamState, boo
     return state, closed
 
 
-def _should_be_keyframe(state: SlamState, tracking: Tracking, observation: Observation) -> bool:
+def _could_be_keyframe(tracking: Tracking, observation: Observation) -> bool:
     # A pose that rests on the motion model in part would pass its error on to all that follow.
     firm = tracking.carrier != Carrier.COASTING and not tracking.relocalised
-    return (
-        firm
-        and tracking.found is not None
-        and has_left(tracking.found, state.config)
-        and _shows_something(observation)
-    )
+    return firm and _shows_something(observation)
 
 
 def _view_is_due(state: SlamState) -> bool:

@@ -46,6 +46,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         "pending": len(state.pending),
         "candidates": len(state.candidates),
         "views": len(state.mapping.views),
+        "last": int(state.last is not None),
     }
     camera = {"width": state.camera.width, "height": state.camera.height}
     write_arrays(folder / STATE_FILE, jax.tree.leaves(rest), counts=counts, camera=camera, given=facts)
@@ -164,6 +165,7 @@ def _template(facts: dict[str, Any], config: SlamConfig) -> SlamState:
         edges=(edge,) * counts["edges"],
         pending=((0, 0),) * counts["pending"],
         candidates=(edge,) * counts["candidates"],
+        last=blank if counts["last"] else None,
         mapping=replace(state.mapping, views=(view,) * counts["views"]),
     )
 
@@ -172,4 +174,4 @@ def _like(value: np.ndarray, kind: Any) -> Any:
     """A leaf as what it was: Python numbers are static to compiled programs, arrays are not."""
     if isinstance(kind, bool | int):
         return type(kind)(value)
-    return jnp.asarray(value) if isinstance(kind, jax.Array) else np.array(value)
+    return np.array(value) if isinstance(kind, np.ndarray) else jnp.asarray(value)

@@ -31,7 +31,7 @@ class Tracking(NamedTuple):
 
 
 def track(state: SlamState, observation: Observation) -> Tracking:
-    """Find a frame's pose: from the motion model, then without it, then among all keyframes.
+    """Find a frame's pose in the reference: from the motion model, then without it.
 
     Args:
         state: the run so far, with at least one keyframe.
@@ -45,9 +45,7 @@ def track(state: SlamState, observation: Observation) -> Tracking:
     if carrier == Carrier.NONE:
         found = register(observation, reference, starts[1], state.camera, config)
         carrier = _believed(found, state)
-    if carrier != Carrier.NONE:
-        return Tracking(state.reference, found, carrier, False)
-    return _relocalise(state, observation) or Tracking(state.reference, found, Carrier.NONE, False)
+    return Tracking(state.reference, found, carrier, False)
 
 
 def has_left(found: Registration, config: SlamConfig) -> bool:
@@ -69,8 +67,8 @@ def _believed(found: Registration, state: SlamState) -> Carrier:
     return carrier
 
 
-def _relocalise(state: SlamState, observation: Observation) -> Tracking | None:
-    """Look for a lost frame in the keyframes that look most like it, and in the last one."""
+def relocalise(state: SlamState, observation: Observation) -> Tracking | None:
+    """Look for a lost frame in the keyframes that look most like it."""
     graph = state.config.graph
     if not observation.keypoints.features.valid.any():
         return None
