@@ -82,8 +82,12 @@ def _assemble(
 def multifrontal_solve(
     plan: EliminationPlan, fronts: tuple[Front, ...], right: Float[Array, "P 6"]
 ) -> Float[Array, "P 6"]:
-    """Solution of the factorised system."""
-    vector = jnp.concatenate([right, jnp.zeros_like(right[:1])])
+    """Solution of the factorised system; not finite if that was not positive definite."""
+    # What fails in one front reaches the root. Waiting for it also keeps XLA from running the first fronts'
+    # solution beside the last ones' factorisation: two batched LAPACK calls at once, each holding a thread of
+    # its pool while waiting for the other threads, end in a deadlock on a machine with two.
+    whole = jnp.all(jnp.isfinite(fronts[-1].own))
+    vector = jnp.where(whole, jnp.concatenate([right, jnp.zeros_like(right[:1])]), jnp.nan)
     for level, front in zip(plan.levels, fronts, strict=True):
         own, boundary = jnp.asarray(level.own), jnp.asarray(level.boundary)
         part = vector[own].reshape(own.shape[0], -1, 1)

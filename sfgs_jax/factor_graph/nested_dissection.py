@@ -201,7 +201,7 @@ def _levels(
         for nodes, size in zip(depths, known, strict=True)
     ]
     bounds = [
-        capacity_for(_with_room(max(len(n.boundary) for n in nodes)), size[1]) if depth and nodes else size[1]
+        capacity_for(_with_room(max((len(n.boundary) for n in nodes), default=0)), size[1]) if depth else 0
         for depth, (nodes, size) in enumerate(zip(depths, known, strict=True))
     ]
     used = rows < num_poses
