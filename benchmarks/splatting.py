@@ -2,8 +2,7 @@
 
     python -m benchmarks.splatting            everything below
     python -m benchmarks.splatting scene      times at 640x480 and 320x240
-    python -m benchmarks.splatting gaussians  time against the number of Gaussians
-    python -m benchmarks.splatting sizes      time against the size of the image
+    python -m benchmarks.splatting growth     time against the number of Gaussians and the size of the image
     python -m benchmarks.splatting memory     peak memory with 100,000 Gaussians at 640x480
     python -m benchmarks.splatting oracle     images and gradients beside the dense reference, at 641x479
 
@@ -29,6 +28,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jax import Array
+from scipy.optimize import nnls
 
 from sfgs_jax.geometry import Camera, InputError, se3
 from sfgs_jax.splatting import Gaussians, RenderConfig, l1, pair_capacity, project, render, rgb_to_sh, ssim
@@ -37,6 +37,11 @@ from sfgs_jax.splatting.compositing import composite
 from tests.splatting.scenes import make_camera, make_pose, make_scene, run
 
 REPEATS = 15
+ROUNDS = 7
+COUNTS = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+
+BORDERLINE = 2e-5
+"""Differences of images above this are no rounding: a Gaussian was drawn by one and not by the other."""
 
 Tree = TypeVar("Tree")
 
@@ -239,20 +244,42 @@ def scene_table(view: View, rates: Rates) -> None:
         print(f"{name:34}{cost.ms:9.1f}{limits}{cost.compile_s:11.1f}{cost.scratch_mb:12.1f}", flush=True)
 
 
-def growth_table(views: list[tuple[str, View]], rates: Rates) -> None:
-    print(
-        f"\n{'':14}{'pairs':>10}{'forward':>10}{'ratio':>7}{'+ backward':>12}{'ratio':>7}{'ns per pair':>20}"
-    )
-    for name, view in views:
+def growth_table(views: list[View], rates: Rates) -> None:
+    """Times against Gaussians, pairs and pixels, and how well they are a sum of a time for each of these."""
+    counts, programs = [], []
+    for view in views:
         config = view.config()
-        pairs = count_pairs(view, config)
-        floors = rates.floors(pairs * config.tile_size**2)
-        programs = view.forward(config), view.gradient(config)
-        a, b = (measure(program, view.gaussians, repeats=5).ms for program in programs)
+        pixels = view.camera.width * view.camera.height
+        counts.append((view.gaussians.means.shape[0], count_pairs(view, config), pixels))
+        both = view.forward(config), view.gradient(config)
+        programs.append([jax.jit(program).lower(view.gaussians).compile() for program in both])
+    # In turns, so that a slow minute of the machine is shared by all.
+    times = np.zeros((1 + ROUNDS, len(views), 2))
+    for turn in range(1 + ROUNDS):
+        for i, (view, both) in enumerate(zip(views, programs, strict=True)):
+            for j, program in enumerate(both):
+                start = time.perf_counter()
+                jax.block_until_ready(program(view.gaussians))
+                times[turn, i, j] = 1e3 * (time.perf_counter() - start)
+    measured = np.median(times[1:], axis=0)
+
+    # Least squares of relative errors, as the times span two orders of magnitude.
+    terms = np.column_stack([counts, np.ones(len(views))])
+    fits = [nnls(terms / measured[:, [j]], np.ones(len(views)))[0] for j in range(2)]
+    head = f"{'pairs':>10}{'forward':>12}{'fit':>9}{'/ floor':>9}{'+ backward':>12}{'fit':>9}{'/ floor':>9}"
+    print(f"\n{'Gaussians':>10}{'image':>12}{head}{'ns a pair':>11}")
+    for view, row, ms in zip(views, counts, measured, strict=True):
+        tile_pixels = row[1] * RenderConfig().tile_size ** 2
+        print(f"{row[0]:10}{f'{view.camera.width}x{view.camera.height}':>12}{row[1]:10}", end="")
+        for j, floor in enumerate(rates.floors(tile_pixels)):
+            print(f"{ms[j]:12.1f}{np.dot([*row, 1], fits[j]):9.1f}{ms[j] / floor:9.1f}", end="")
+        print(f"{1e6 * ms[1] / row[1]:11.0f}")
+    for name, fit, ms in zip(("forward", "forward + backward"), fits, measured.T, strict=True):
+        gaussian, pair, pixel, rest = 1e6 * fit
+        off = 100 * np.abs(terms @ fit / ms - 1)
+        print(f"{name}: {gaussian:.0f} ns a Gaussian + {pair:.0f} a pair + {pixel:.0f} a pixel ", end="")
         print(
-            f"{name:14}{pairs:10}{a:10.1f}{a / floors[0]:7.1f}{b:12.1f}{b / floors[1]:7.1f}"
-            f"{1e6 * a / pairs:10.0f}{1e6 * b / pairs:10.0f}",
-            flush=True,
+            f"+ {rest / 1e6:.1f} ms, off by {np.sqrt(np.mean(off**2)):.0f} % RMS, {off.max():.0f} % at most"
         )
 
 
@@ -260,29 +287,43 @@ def converted(tree: Tree, dtype: jnp.dtype) -> Tree:
     return jax.tree.map(lambda x: x if x.dtype == bool else jnp.asarray(x, dtype), tree)
 
 
-def compare_with_oracle(
-    name: str, scene: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, dtype: jnp.dtype
-) -> None:
-    """Print how far the image and every gradient are from the dense reference's."""
-    scene, camera, T_world_cam = converted((scene, camera, T_world_cam), dtype)
-    config = RenderConfig(pair_capacity=pair_capacity(scene, camera, T_world_cam))
-    actual, expected = (run(by, scene, T_world_cam, config, camera) for by in ("tiles", "oracle"))
-    for what in expected:
-        a, b = (np.asarray(x[what], np.float64).ravel() for x in (actual, expected))
-        error = np.linalg.norm(a - b) / np.linalg.norm(b)
-        angle = 1 - a @ b / np.linalg.norm(a) / np.linalg.norm(b)
-        row = f"{name}, {camera.width}x{camera.height}, {np.dtype(dtype).name}"
-        print(f"{row:28}{what:16}{error:16.1e}{angle:12.1e}", flush=True)
+def compare_with_oracle(name: str, scene: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3) -> None:
+    """Print how far the image and every gradient are from those of the dense reference in float64."""
+
+    def drawn(by: str, dtype: jnp.dtype, counted: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        with jax.enable_x64(dtype == jnp.float64):
+            view = converted((scene, camera, T_world_cam), dtype)
+            config = RenderConfig(pair_capacity=pair_capacity(view[0], view[1], view[2]))
+            mask = None if counted is None else jnp.asarray(counted, jnp.float32)
+            results = run(by, view[0], view[2], config, view[1], mask)
+            return {what: np.asarray(values, np.float64) for what, values in results.items()}
+
+    # Where a Gaussian is at 1/255 of a pixel but for float32's rounding, it is drawn by one and not by
+    # the other, and neither is wrong: those pixels are left out.
+    difference = np.abs(drawn("tiles", jnp.float32)["image"] - drawn("oracle", jnp.float64)["image"])
+    counted = np.all(difference < BORDERLINE, axis=-1)
+    expected = drawn("oracle", jnp.float64, counted)
+    rows = [("tiles", jnp.float32), ("oracle", jnp.float32), ("tiles", jnp.float64)]
+    results = [drawn(by, dtype, counted) for by, dtype in rows]
+    print(f"{name}, {camera.width}x{camera.height}, {np.sum(~counted)} pixels left out")
+    for what, b in expected.items():
+        b = b[counted] if what == "image" else b
+        print(f"  {what:16}", end="")
+        for result in results:
+            a = result[what][counted] if what == "image" else result[what]
+            angle = 1 - np.vdot(a, b) / np.linalg.norm(a) / np.linalg.norm(b)
+            print(f"{np.linalg.norm(a - b) / np.linalg.norm(b):16.1e}{angle:10.0e}", end="")
+        print(flush=True)
 
 
 def oracle_table(view: View) -> None:
     """Random Gaussians of every kind at full size, and real ones in an image that the reference can hold."""
-    print(f"\n{'':44}{'relative error':>16}{'1 - cosine':>12}")
+    print("Relative error and 1 - cosine, against the dense reference in float64")
+    print(f"{'':18}{'tiles float32':>26}{'reference float32':>26}{'tiles float64':>26}")
+    for seed in (20, 21):
+        compare_with_oracle("mixed", make_scene(seed, degree=3), make_camera(641, 479), make_pose())
     small, real = view.smaller(8), view.resampled(2000).shaken().gaussians
-    for dtype in (jnp.float32, jnp.float64):
-        with jax.enable_x64(dtype == jnp.float64):
-            compare_with_oracle("mixed", make_scene(20, degree=3), make_camera(641, 479), make_pose(), dtype)
-            compare_with_oracle("real", real, small.camera, small.T_world_cam, dtype)
+    compare_with_oracle("real", real, small.camera, small.T_world_cam)
 
 
 def main(part: str) -> None:
@@ -302,17 +343,14 @@ def main(part: str) -> None:
     if part == "scene":
         for factor in (1, 2):
             scene_table(view.smaller(factor), rates)
-    elif part == "gaussians":
-        counts = (10_000, 30_000, 100_000, 300_000, 1_000_000)
-        growth_table([(f"{count:,}", view.resampled(count)) for count in counts], rates)
-    elif part == "sizes":
-        views = [view.smaller(4), view.smaller(2), view, view.larger(2)]
-        growth_table([(f"{v.camera.width}x{v.camera.height}", v) for v in views], rates)
+    elif part == "growth":
+        sizes = [view.smaller(4), view.smaller(2), view, view.larger(2)]
+        growth_table([view.resampled(count) for count in COUNTS] + sizes, rates)
     else:
         raise InputError(f"Unknown part {part!r}; there are {', '.join(PARTS)}.")
 
 
-PARTS = ("scene", "gaussians", "sizes", "memory", "oracle")
+PARTS = ("scene", "growth", "memory", "oracle")
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:

@@ -1,7 +1,7 @@
 """The renderer's equations once more, slowly: every Gaussian at every pixel, gradients by JAX.
 
 The oracle of the tests. It shares no code with the fast path beyond the classes and constants, and writes
-covariances and conics as the papers do. Time and memory are N x H x W.
+matrices as the papers do. Time and memory are N x H x W.
 """
 
 import jax
@@ -29,9 +29,9 @@ def render(
 ) -> RenderOutput:
     """As `splatting.render`, which see; tile size and pair capacity have no influence."""
     view = jax.vmap(lambda g: _view(g, camera, T_world_cam, config))(gaussians)
-    centre, conic, opacity, colour, depth, drawn = view
+    centre, whitening, opacity, colour, depth, drawn = view
     order = jnp.argsort(jnp.where(drawn, depth.astype(jnp.float32), jnp.inf), stable=True)
-    centre, conic, opacity, colour, depth, drawn = (value[order] for value in view)
+    centre, whitening, opacity, colour, depth, drawn = (value[order] for value in view)
 
     def given(values: Array) -> Array:
         return jnp.where(drawn[:, None], values[order], 0)
@@ -41,7 +41,7 @@ def render(
 
     def pixel(position: Array) -> tuple[Array, ...]:
         d = position - centre
-        alpha = opacity * jnp.exp(-0.5 * jnp.einsum("ni,nij,nj->n", d, conic, d))
+        alpha = opacity * jnp.exp(-0.5 * jnp.sum(jnp.einsum("nij,nj->ni", whitening, d) ** 2, axis=-1))
         alpha = jnp.where(drawn & (alpha >= MIN_ALPHA), jnp.minimum(alpha, MAX_ALPHA), 0)
         after = jnp.cumprod(1 - alpha)
         before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
@@ -69,7 +69,7 @@ def render(
 def _view(
     gaussian: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Image centre, conic, opacity, colour, depth of one Gaussian, and whether it is drawn."""
+    """Image centre, inverse Cholesky factor of its covariance, opacity, colour, depth of one Gaussian, and whether it is drawn."""
     R_world_cam = se3.rotation_matrix(T_world_cam)
     offset = gaussian.means - T_world_cam.wxyz_xyz[4:]
     point = R_world_cam.T @ offset
@@ -83,8 +83,6 @@ def _view(
     sh = jnp.where(drawn, gaussian.sh, 0)
 
     x, y, z = R_world_cam.T @ offset
-    R = R_world_cam.T @ _rotation(quaternion)
-    covariance = R @ jnp.diag(scale**2) @ R.T
     limit_u, limit_v = 0.3 * camera.width / (2 * camera.fx), 0.3 * camera.height / (2 * camera.fy)
     left, right = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
     top, bottom = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
@@ -97,14 +95,18 @@ def _view(
             jnp.stack([zero, camera.fy / z, -camera.fy * ty / z**2]),
         ]
     )
-    image_covariance = J @ covariance @ J.T
-    blurred = image_covariance + LOW_PASS * jnp.eye(2, dtype=z.dtype)
+    M = J @ R_world_cam.T @ _rotation(quaternion) * scale
+    (a, b), (_, c) = M @ M.T + LOW_PASS * jnp.eye(2, dtype=z.dtype)
+    # det (M Mᵀ) = |m₁ x m₂|² (Cauchy-Binet). As a c - b² the determinant of a needle would be rounding alone.
+    sharp = jnp.sum(jnp.cross(M[0], M[1]) ** 2)
+    blurred = sharp + LOW_PASS * (a + c - LOW_PASS)
     opacity = jax.nn.sigmoid(logit)
     if config.antialiased:
-        ratio = jnp.linalg.det(image_covariance) / jnp.linalg.det(blurred)
-        opacity = opacity * jnp.sqrt(jnp.maximum(ratio, 1e-12))
+        opacity = opacity * jnp.sqrt(jnp.maximum(sharp / blurred, 1e-12))
+    # L⁻¹ for the Cholesky factor L = [[√a, 0], [b / √a, √(det / a)]] of the covariance.
+    whitening = jnp.stack([jnp.stack([zero + 1, zero]), jnp.stack([-b, a]) / jnp.sqrt(blurred)]) / jnp.sqrt(a)
     centre = jnp.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
-    return centre, jnp.linalg.inv(blurred), opacity, _colour(sh, offset), z, drawn
+    return centre, whitening, opacity, _colour(sh, offset), z, drawn
 
 
 def _rotation(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:

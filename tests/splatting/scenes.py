@@ -48,13 +48,14 @@ def images_of(out) -> jax.Array:
     return jnp.concatenate(images if out.features is None else [*images, out.features], axis=-1)
 
 
-def loss(draw, config, variables, valid, T_world_cam):
-    """A scalar that depends on every pixel of every image, each differently."""
+def loss(draw, config, variables, valid, T_world_cam, counted):
+    """A scalar that depends on every `counted` pixel of every image, each differently."""
     fields, camera, delta, background, features = variables
     T = se3.compose(T_world_cam, se3.exp(delta))
     scene = Gaussians(**fields, valid=valid)
     image = images_of(draw(scene, camera, T, background, None, features, config=config))
-    return jnp.sum(image * jax.random.normal(jax.random.key(7), image.shape, image.dtype)), image
+    weights = jax.random.normal(jax.random.key(7), image.shape, jnp.float32).astype(image.dtype)
+    return jnp.sum(image * weights * counted[..., None].astype(image.dtype)), image
 
 
 @cache
@@ -74,13 +75,20 @@ def variables_of(scene: Gaussians, camera: Camera):
 
 
 def run(
-    name: str, scene: Gaussians, T_world_cam=None, config: RenderConfig = CONFIG, camera: Camera | None = None
+    name: str,
+    scene: Gaussians,
+    T_world_cam=None,
+    config: RenderConfig = CONFIG,
+    camera: Camera | None = None,
+    counted=None,
 ):
-    """Image and gradients by one of the programs."""
+    """Image and gradients by one of the programs; the loss is of the pixels `counted`, or of all."""
     dtype = scene.means.dtype
     T_world_cam = make_pose(dtype) if T_world_cam is None else T_world_cam
-    variables = variables_of(scene, make_camera(dtype=dtype) if camera is None else camera)
-    (_, image), gradients = program(name, config)(variables, scene.valid, T_world_cam)
+    camera = make_camera(dtype=dtype) if camera is None else camera
+    counted = jnp.ones((camera.height, camera.width), jnp.float32) if counted is None else counted
+    variables = variables_of(scene, camera)
+    (_, image), gradients = program(name, config)(variables, scene.valid, T_world_cam, counted)
     parameters, camera, delta, background, features = gradients
     # One intrinsic's gradient can be a small difference of large ones; all four are compared as one.
     intrinsics = jnp.stack(jax.tree.leaves(camera))

@@ -53,7 +53,8 @@ def test_gradients_agree_with_finite_differences(config):
     T_world_cam = make_pose(jnp.float64)
     variables = variables_of(scene, make_camera(dtype=jnp.float64))
     tiles = program("tiles", config)
-    _, gradients = tiles(variables, scene.valid, T_world_cam)
+    counted = jnp.ones((HEIGHT, WIDTH))
+    _, gradients = tiles(variables, scene.valid, T_world_cam, counted)
     leaves, structure = jax.tree.flatten(variables)
     rng = np.random.default_rng(0)
     # Along a random direction through each argument in turn; the step stays clear of the jumps at 1/255.
@@ -62,7 +63,9 @@ def test_gradients_agree_with_finite_differences(config):
         values = []
         for sign in (-1, 1):
             moved = [*leaves[:i], leaf + sign * 1e-8 * direction, *leaves[i + 1 :]]
-            values.append(tiles(jax.tree.unflatten(structure, moved), scene.valid, T_world_cam)[0][0])
+            values.append(
+                tiles(jax.tree.unflatten(structure, moved), scene.valid, T_world_cam, counted)[0][0]
+            )
         numerical = float(values[1] - values[0]) / 2e-8
         analytical = float(np.sum(np.asarray(gradient) * direction))
         assert numerical == pytest.approx(analytical, rel=1e-5, abs=1e-5), i
