@@ -1,16 +1,19 @@
-"""Factor graphs: bundle adjustment and a public pose graph beside GTSAM, and growth with the number of poses.
+"""Factor graphs: bundle adjustment and pose graphs beside GTSAM, growth, false loop closures.
 
-    python -m benchmarks.factor_graph [bundle] [sphere] [growth] [--poses 25 50 ...]
+    python -m benchmarks.factor_graph [PART ...] [--poses 25 50 ...]
 
-All three without arguments. Reads data/bench/ba_problem.npz below SFGS_DATA, else ../shared; GTSAM, the peer,
-brings sphere2500. Times are medians after warm-up, from values to values, without laying the graph out. Costs
-are what GTSAM computes in float64 from the values either ends with; "above" is ours over GTSAM's, less one;
-"apart" the largest distance between both's poses and landmarks, over the extent of the scene.
+Parts: bundle, sphere, torus, garage, growth, false_loops; all by default. Reads data/bench/ba_problem.npz
+below SFGS_DATA, else ../shared; GTSAM, the peer, brings sphere2500; torus and garage are made here, and read
+from the g2o file that they are written to. Times are medians after warm-up, from values to values, without
+laying the graph out. Costs are what GTSAM computes in float64 from the values either ends with; "above" is
+ours over GTSAM's, less one; "apart" the largest distance between both's poses and landmarks, over the extent
+of the scene.
 Compare rows of one run: absolute times depend on the machine.
 """
 
 import argparse
 import os
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,23 +26,28 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import pose_graphs
+from benchmarks.pose_graphs import motions
 from sfgs_jax.factor_graph import (
+    Capacities,
     Factor,
     FactorGraph,
+    PoseGraph,
     PosePrior,
     RelativePose,
     Reprojection,
     SolverConfig,
     Values,
+    consistent_loops,
+    odometry_start,
+    read_g2o,
     solve,
+    write_g2o,
 )
-from sfgs_jax.geometry import Camera, InputError, se3
-from sfgs_jax.geometry.rotations import quaternions_from_rotations
+from sfgs_jax.geometry import Camera, InputError, Kernel, se3
 
-
-def motions(matrices: np.ndarray) -> jaxlie.SE3:
-    wxyz = quaternions_from_rotations(matrices[:, :3, :3])
-    return jaxlie.SE3(jnp.asarray(np.concatenate([wxyz, matrices[:, :3, 3]], axis=1), jnp.float32))
+SWAPPED = [3, 4, 5, 0, 1, 2]
+"""GTSAM's tangents are rotation first."""
 
 
 def bundle_adjustment() -> dict[str, np.ndarray]:
@@ -51,7 +59,8 @@ def bundle_adjustment() -> dict[str, np.ndarray]:
         return {name: file[name] for name in file.files}
 
 
-def precision(translation: float, rotation: float) -> jax.Array:
+def weight(translation: float, rotation: float) -> jax.Array:
+    """Information of standard deviations."""
     return jnp.asarray(np.diag([translation**-2] * 3 + [rotation**-2] * 3), jnp.float32)
 
 
@@ -64,9 +73,9 @@ def our_bundle_adjustment(p: dict[str, np.ndarray]) -> tuple[FactorGraph, Values
         PosePrior(
             [0],
             motions(p["poses_gt"][:1]),
-            precision(float(p["prior_sigma_trans"]), float(p["prior_sigma_rot"])),
+            weight(float(p["prior_sigma_trans"]), float(p["prior_sigma_rot"])),
         ),
-        RelativePose(ends, measured, precision(float(p["sigma_trans"]), float(p["sigma_rot"]))),
+        RelativePose(ends, measured, weight(float(p["sigma_trans"]), float(p["sigma_rot"]))),
         Reprojection(
             p["obs_cam"],
             p["obs_lm"],
@@ -107,28 +116,43 @@ def gtsam_bundle_adjustment(p: dict[str, np.ndarray]) -> tuple[Any, Any]:
     return graph, start
 
 
-def sphere() -> tuple[FactorGraph, Values, Any, Any]:
-    """The public sphere2500, from its odometry: ours and GTSAM's."""
+def sphere2500() -> PoseGraph:
+    """The public file."""
     import gtsam  # pyright: ignore[reportMissingImports]
 
     peer, _ = gtsam.load3D(gtsam.findExampleDataFile("sphere2500.txt"))
     edges: list[Any] = [peer.at(i) for i in range(peer.size())]
-    ends = np.array([edge.keys() for edge in edges])
-    measured = np.array([edge.measured().matrix() for edge in edges])
-    # GTSAM's tangents are rotation first.
-    order = [3, 4, 5, 0, 1, 2]
-    information = np.array([edge.noiseModel().information()[np.ix_(order, order)] for edge in edges])
-    steps = {a: T for (a, b), T in zip(ends, measured, strict=True) if b == a + 1}
-    poses = [np.eye(4)]
-    for a in range(ends.max()):
-        poses.append(poses[-1] @ steps[a])
+    information = np.array([edge.noiseModel().information()[np.ix_(SWAPPED, SWAPPED)] for edge in edges])
+    measured = RelativePose(
+        np.array([edge.keys() for edge in edges]),
+        motions(np.array([edge.measured().matrix() for edge in edges])),
+        jnp.asarray(information, jnp.float32),
+    )
+    numbers = np.arange(2500)
+    return PoseGraph(odometry_start(measured, 2500), measured, numbers, numbers == 0)
+
+
+def through_a_file(graph: PoseGraph) -> PoseGraph:
+    with tempfile.TemporaryDirectory() as folder:
+        write_g2o(Path(folder) / "graph.g2o", graph)
+        return read_g2o(Path(folder) / "graph.g2o")
+
+
+def from_odometry(file: PoseGraph) -> tuple[FactorGraph, Values, Any, Any]:
+    """A pose graph and its odometry: ours and GTSAM's."""
+    import gtsam  # pyright: ignore[reportMissingImports]
+
+    edges, count = file.edges, len(file.vertices)
+    values = odometry_start(edges, count)
+    peer = gtsam.NonlinearFactorGraph()
+    measured = se3.to_matrices(edges.T_a_b)
+    information = np.asarray(edges.matrices, np.float64)[:, SWAPPED][:, :, SWAPPED]
+    for (a, b), T, matrix in zip(edges.poses, measured, information, strict=True):
+        noise = gtsam.noiseModel.Gaussian.Information(matrix)
+        peer.add(gtsam.BetweenFactorPose3(int(a), int(b), gtsam.Pose3(T), noise))
     peer.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)))
-    start = gtsam.Values()
-    for i, T in enumerate(poses):
-        start.insert(i, gtsam.Pose3(T))
-    relative = RelativePose(ends, motions(measured), jnp.asarray(information, jnp.float32))
-    graph = FactorGraph([relative], num_poses=len(poses), free_poses=np.arange(len(poses)) > 0)
-    return jax.tree.map(jnp.asarray, graph), Values(motions(np.array(poses))), peer, start
+    graph = FactorGraph([edges], num_poses=count, free_poses=np.arange(count) > 0)
+    return jax.tree.map(jnp.asarray, graph), values, peer, peer_values(values)
 
 
 def corridor(poses: int) -> tuple[list[Factor], Values]:
@@ -147,8 +171,8 @@ def corridor(poses: int) -> tuple[list[Factor], Values]:
     ends = np.stack([np.arange(poses - 1), np.arange(1, poses)], axis=1)
     step = motions(np.linalg.inv(truth[:1]) @ truth[1:2]).wxyz_xyz
     factors = [
-        PosePrior([0], motions(truth[:1]), precision(0.01, 0.01)),
-        RelativePose(ends, jaxlie.SE3(jnp.tile(step, (poses - 1, 1))), precision(0.02, 0.01)),
+        PosePrior([0], motions(truth[:1]), weight(0.01, 0.01)),
+        RelativePose(ends, jaxlie.SE3(jnp.tile(step, (poses - 1, 1))), weight(0.02, 0.01)),
         Reprojection(
             camera[inside],
             np.broadcast_to(landmark, camera.shape)[inside],
@@ -159,6 +183,55 @@ def corridor(poses: int) -> tuple[list[Factor], Values]:
     noise = se3.exp(jnp.asarray(rng.normal(scale=0.02, size=(poses, 6)), jnp.float32))
     start = points + rng.normal(scale=0.05, size=points.shape)
     return factors, Values(se3.compose(motions(truth), noise), jnp.asarray(start, jnp.float32))
+
+
+def false_loops() -> Table:
+    """Errors beside those without the false loops, of 30 % of the loops."""
+    table = Table(title="30 % of the loop closures false: error of the origins, over that with none")
+    for column in ("world", "seed", "none, m", "no defence", "kernel", "kernel, check", "kept true, false"):
+        table.add_column(column, justify="left" if column == "world" else "right")
+    robust = "dynamic_covariance_scaling"
+    for world in (pose_graphs.sphere, pose_graphs.lattice):
+        capacities = None
+        for seed in range(3):
+            rng = np.random.default_rng(seed)
+            made = world(rng)
+            file = pose_graphs.measured(made, rng)
+            loops, false = pose_graphs.with_false_loops(file, rng, 0.3)
+            kept = consistent_loops(
+                loops, file.values, metres=0.1, radians=0.03, drift_metres=0.05, drift_radians=0.01
+            )
+            truth = (np.linalg.inv(made.truth[0]) @ made.truth)[:, :3, 3]
+            everything = np.ones(len(false), bool)
+            errors = []
+            for valid, kernel in (
+                (everything, "none"),
+                (everything, robust),
+                (kept, robust),
+                (~false, "none"),
+            ):
+                graph = closed(file, loops, valid, kernel, capacities)
+                capacities = graph.capacities
+                found = solve(graph, file.values, SolverConfig(max_iterations=100)).values
+                apart = np.asarray(found.poses.wxyz_xyz[:, 4:]) - truth
+                errors.append(float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))))
+            *others, none = errors
+            ratios = [f"{error / none:.2f}" for error in others]
+            shares = f"{kept[~false].mean():.0%}, {kept[false].mean():.0%}"
+            table.add_row(world.__name__, str(seed), f"{none:.3f}", *ratios, shares)
+    return table
+
+
+def closed(
+    file: PoseGraph, loops: RelativePose, valid: np.ndarray, kernel: Kernel, capacities: Capacities | None
+) -> FactorGraph:
+    """The odometry of a pose graph, and loops."""
+    count, weights = len(file.vertices), file.edges.matrices[0]
+    chain = slice(0, count - 1)
+    odometry = RelativePose(file.edges.poses[chain], jaxlie.SE3(file.edges.T_a_b.wxyz_xyz[chain]), weights)
+    closures = RelativePose(loops.poses, loops.T_a_b, weights, valid=valid, kernel=kernel, kernel_width=3.0)
+    free = np.arange(count) > 0
+    return FactorGraph([odometry, closures], num_poses=count, free_poses=free, capacities=capacities)
 
 
 def median_ms(run: Callable[[], Any], repetitions: int) -> tuple[float, Any]:
@@ -254,7 +327,7 @@ def growth(sizes: list[int]) -> Table:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Benchmarks of the factor graph.")
-    parts = ("bundle", "sphere", "growth")
+    parts = ("bundle", "sphere", "torus", "garage", "growth", "false_loops")
     parser.add_argument(
         "parts", nargs="*", metavar="PART", help=f"which of {', '.join(parts)}; all by default"
     )
@@ -269,9 +342,17 @@ def main() -> None:
         both = *our_bundle_adjustment(problem), *gtsam_bundle_adjustment(problem)
         console.print(compare("Bundle adjustment: 100 poses, 3000 landmarks", both, (15, 3)))
     if "sphere" in chosen:
-        console.print(compare("sphere2500, from its odometry", sphere(), (3, 1)))
+        console.print(compare("sphere2500, from its odometry", from_odometry(sphere2500()), (3, 3)))
+    for world in (pose_graphs.torus, pose_graphs.garage):
+        if world.__name__ in chosen:
+            rng = np.random.default_rng(0)
+            file = through_a_file(pose_graphs.measured(world(rng), rng))
+            title = f"{world.__name__}, {len(file.vertices)} poses, {len(file.edges.poses)} edges"
+            console.print(compare(f"{title}, from its odometry", from_odometry(file), (3, 3)))
     if "growth" in chosen:
         console.print(growth(arguments.poses))
+    if "false_loops" in chosen:
+        console.print(false_loops())
 
 
 if __name__ == "__main__":

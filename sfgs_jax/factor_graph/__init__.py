@@ -16,6 +16,7 @@ from sfgs_jax.factor_graph.landmark_factors import Reprojection as Reprojection
 from sfgs_jax.factor_graph.landmark_factors import RgbdReprojection as RgbdReprojection
 from sfgs_jax.factor_graph.marginals import Marginals as Marginals
 from sfgs_jax.factor_graph.marginals import marginal_covariances as marginal_covariances
+from sfgs_jax.factor_graph.odometry import odometry_start as odometry_start
 from sfgs_jax.factor_graph.optimise import cost as cost
 from sfgs_jax.factor_graph.optimise import solve as solve
 from sfgs_jax.factor_graph.plot import plot_graph as plot_graph

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-LevelSize = tuple[int, int, int]
-"""Own and boundary poses of each node of a level of elimination, and blocks that enter there."""
+BatchSize = tuple[int, int]
+"""Own and boundary poses that each front of a batch has room for."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class Capacities:
     cluster_poses: int = 0
     """Poses of a cluster."""
 
-    levels: tuple[LevelSize, ...] = ()
-    """Sizes of the levels of the sparse solver's plan."""
+    batches: tuple[BatchSize, ...] = ()
+    """Sizes of the batches of fronts of the sparse solver's plan."""
 
 
 def capacity_for(count: int, given: int) -> int:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
+from sfgs_jax.factor_graph.odometry import odometry_start
 from sfgs_jax.factor_graph.pose_factors import RelativePose
 from sfgs_jax.factor_graph.values import Values
 from sfgs_jax.geometry import InputError, write_atomically
@@ -20,7 +21,7 @@ class PoseGraph:
     """What a g2o file holds."""
 
     values: Values
-    """Poses in the order of their vertices in the file; no landmarks."""
+    """Poses in the order of their vertices' numbers; no landmarks."""
 
     edges: RelativePose
     """Measured motions with their information, in the order of the file."""
@@ -33,18 +34,18 @@ class PoseGraph:
 
 
 def read_g2o(path: Path | str) -> PoseGraph:
-    """Read a graph of `VERTEX_SE3:QUAT`, `EDGE_SE3:QUAT` and `FIX` lines.
+    """Read a graph of `VERTEX_SE3:QUAT`, `EDGE_SE3:QUAT` and `FIX` lines; sensors' `PARAMS_` are passed over.
 
-    Quaternions are xyzw in the file, wxyz in memory. g2o's error is the vector part of the quaternion where
-    this library's is the rotation vector, twice as long to first order: information of rotations is divided
-    by 4, and by 2 where it couples them with translations, so that costs agree near a solution.
+    Quaternions are xyzw in the file, of any length, and wxyz in memory. g2o's error is the vector part of the
+    quaternion where this library's is the rotation vector, twice as long to first order: information of
+    rotations is divided by 4, and by 2 where it couples them with translations, so that costs agree near a
+    solution. A file of edges alone gets its poses from `odometry_start`.
 
     Raises:
-        InputError: a line that is not of these kinds, or that can't be read.
+        InputError: a line that is not of these kinds, or that can't be read; a pose that is missing.
         OSError: the file can't be read.
     """
-    numbers: dict[int, int] = {}
-    poses: list[list[float]] = []
+    poses: dict[int, list[float]] = {}
     ends: list[tuple[int, int]] = []
     edges: list[list[float]] = []
     fixed: set[int] = set()
@@ -54,41 +55,41 @@ def read_g2o(path: Path | str) -> PoseGraph:
             where = f"line {number} of {path}"
             try:
                 if tag == _VERTEX:
-                    if len(words) != 8:
-                        raise ValueError
-                    numbers[int(words[0])] = len(poses)
-                    poses.append([float(word) for word in words[1:]])
+                    if int(words[0]) in poses:
+                        raise InputError(f"Cannot read {where}: vertex {words[0]} is there already.")
+                    poses[int(words[0])] = _numbers(words[1:], 7)
                 elif tag == _EDGE:
-                    if len(words) != 30:
-                        raise ValueError
                     ends.append((int(words[0]), int(words[1])))
-                    edges.append([float(word) for word in words[2:]])
+                    edges.append(_numbers(words[2:], 28))
                 elif tag == _FIX:
                     fixed.update(int(word) for word in words)
-                elif tag:
+                elif tag and not tag.startswith("PARAMS_"):
                     raise InputError(
                         f"Cannot read {where}: {tag} is not one of {_VERTEX}, {_EDGE}, {_FIX}; convert the "
                         "graph to 3-D poses and edges between them."
                     )
-            except ValueError:
+            except (ValueError, IndexError):
                 raise InputError(f"Cannot read {where}: {tag} needs other numbers than it has.") from None
-    unknown = {v for pair in ends for v in pair} | fixed
-    unknown -= set(numbers)
-    if unknown or not poses:
+    touched = {v for pair in ends for v in pair}
+    vertices = np.array(sorted(poses or touched), np.int64)
+    unknown = (touched | fixed).difference(vertices.tolist())
+    if unknown or not len(vertices):
         raise InputError(f"{path} has no {_VERTEX} line for vertex {min(unknown, default=0)}.")
     rows = np.asarray(edges, np.float64).reshape(-1, 28)
     information = np.zeros((len(rows), 6, 6))
     information[:, _UPPER[0], _UPPER[1]] = rows[:, 7:]
     information[:, _UPPER[1], _UPPER[0]] = rows[:, 7:]
     half = np.array([1, 1, 1, 0.5, 0.5, 0.5])
-    indices = np.array([[numbers[a], numbers[b]] for a, b in ends], np.int32).reshape(-1, 2)
-    dtype = jnp.result_type(float)
-    edges_factor = RelativePose(
-        indices, _motions(rows[:, :7]), jnp.asarray(information * half[:, None] * half, dtype)
+    measured = RelativePose(
+        np.searchsorted(vertices, np.array(ends, np.int64).reshape(-1, 2)),
+        _motions(rows[:, :7]),
+        jnp.asarray(information * half[:, None] * half, jnp.result_type(float)),
     )
-    mask = np.zeros(len(poses), bool)
-    mask[[numbers[v] for v in fixed]] = True
-    return PoseGraph(Values(_motions(np.asarray(poses))), edges_factor, np.array(list(numbers)), mask)
+    if poses:
+        values = Values(_motions(np.array([poses[v] for v in vertices.tolist()])))
+    else:
+        values = odometry_start(measured, len(vertices))
+    return PoseGraph(values, measured, vertices, np.isin(vertices, list(fixed)))
 
 
 def write_g2o(path: Path | str, graph: PoseGraph) -> None:
@@ -111,6 +112,14 @@ def write_g2o(path: Path | str, graph: PoseGraph) -> None:
         upper = " ".join(f"{x:.9g}" for x in information[i][_UPPER])
         lines.append(f"{_EDGE} {a} {b} {_motion_words(measured[i])} {upper}")
     write_atomically(path, "".join(line + "\n" for line in lines))
+
+
+def _numbers(words: list[str], count: int) -> list[float]:
+    """So many finite numbers, the first seven of which are a motion."""
+    numbers = [float(word) for word in words]
+    if len(numbers) != count or not np.all(np.isfinite(numbers)) or not any(numbers[3:7]):
+        raise ValueError
+    return numbers
 
 
 def _motions(rows: np.ndarray) -> jaxlie.SE3:

@@ -84,7 +84,7 @@ class FactorGraph(eqx.Module):
         self.plan = None
         if linear_solver == "sparse":
             rows, columns = np.asarray(self.structure.rows), np.asarray(self.structure.columns)
-            self.plan = plan_elimination(rows, columns, num_poses, capacities.levels)
+            self.plan = plan_elimination(rows, columns, num_poses, capacities.batches)
 
     @property
     def num_poses(self) -> int:
@@ -100,8 +100,8 @@ class FactorGraph(eqx.Module):
     def capacities(self) -> Capacities:
         """Sizes to pass on to the next graph."""
         clusters, width = self.structure.cluster_poses.shape
-        levels = () if self.plan is None else self.plan.sizes
-        return Capacities(self.structure.rows.shape[0], clusters, width, levels)
+        batches = () if self.plan is None else self.plan.sizes
+        return Capacities(self.structure.rows.shape[0], clusters, width, batches)
 
 
 def _mask(given: Any, count: int, name: str) -> np.ndarray:

@@ -4,13 +4,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from sfgs_jax.factor_graph.nested_dissection import EliminationPlan, Level
+from sfgs_jax.factor_graph.nested_dissection import Batch, EliminationPlan
 
 
 class Front(eqx.Module):
-    """Factorised columns of the nodes at one level.
+    """Factorised columns of the nodes of one batch.
 
     Attributes:
         own: (n, 6 o, 6 o) lower Cholesky factors.
@@ -27,56 +27,44 @@ def multifrontal_cholesky(
     """Factors of a symmetric block matrix; not finite if it is not positive definite."""
     keep = ~jnp.asarray(plan.transposed)[:, None, None]
     below = jnp.where(keep, off_diagonal, jnp.swapaxes(off_diagonal, 1, 2))
-    blocks = jnp.concatenate([diagonal, below]).reshape(-1, 36)
-    fronts = []
-    updates, child = None, None
-    for level in plan.levels:
-        own, boundary, corner = _assemble(level, blocks, updates, child, len(diagonal))
+    entries = jnp.concatenate([diagonal, below]).reshape(-1, 36)
+    places, end = jnp.asarray(plan.places), _blocks(plan)
+    blocks = jnp.zeros((end + 1, 36), entries.dtype).at[places].set(entries)
+    factors, start = [], 0
+    for batch in plan.batches:
+        (n, o), b = batch.own.shape, batch.boundary.shape[1]
+        corner = start + n * (o + b) * o
+        columns = blocks[start:corner].reshape(n, o + b, o, 6, 6)
+        columns = jnp.transpose(columns, (0, 1, 3, 2, 4)).reshape(n, 6 * (o + b), 6 * o)
+        unused = jnp.repeat(jnp.asarray(batch.own) == len(diagonal), 6, axis=1).astype(entries.dtype)
+        own = columns[:, : 6 * o] + jnp.eye(6 * o, dtype=entries.dtype) * unused[:, None]
         lower = lax.linalg.cholesky(own, symmetrize_input=False)
-        columns = lax.linalg.triangular_solve(lower, boundary, lower=True, transpose_a=True)
-        fronts.append(Front(lower, columns))
-        product = jnp.einsum("nis,njs->nij", columns, columns)
-        n, b = level.boundary.shape
+        boundary = lax.linalg.triangular_solve(lower, columns[:, 6 * o :], lower=True, transpose_a=True)
+        factors.append(Front(lower, boundary))
         i, j = np.tril_indices(b)
+        product = jnp.einsum("nis,njs->nij", boundary, boundary)
         product = jnp.transpose(product.reshape(n, b, 6, b, 6), (0, 1, 3, 2, 4))[:, i, j]
-        updates = -product if corner is None else corner - product
-        child = level
-    return tuple(fronts)
+        start = corner + n * len(i)
+        update = blocks[corner:start] - product.reshape(-1, 36)
+        blocks = blocks.at[_handed_to(batch, end)].add(update)
+    return tuple(factors)
 
 
-def _assemble(
-    level: Level,
-    blocks: Float[Array, "S 36"],
-    updates: Float[Array, "c t 6 6"] | None,
-    child: Level | None,
-    num_poses: int,
-) -> tuple[Float[Array, "n s s"], Float[Array, "n b s"], Float[Array, "n u 6 6"] | None]:
-    """Fronts of a level: own columns, columns below, and the lower triangle of the boundary's corner."""
-    n, o = level.own.shape
-    b = level.boundary.shape[1]
-    size, triangle = n * (o + b) * o, b * (b + 1) // 2
-    front = jnp.zeros((size + 1, 36), blocks.dtype)
-    front = front.at[jnp.asarray(level.places)].add(blocks[jnp.asarray(level.sources)])
-    corner = None
-    if child is not None and updates is not None:
-        c = child.boundary.shape[1]
-        i, j = np.tril_indices(c)
-        positions, parent = jnp.asarray(child.positions), jnp.asarray(child.parent)[:, None]
-        row, column = positions[:, i], positions[:, j]
-        flat = updates.reshape(-1, 36)
-        there = (row < o + b) & (column < o)
-        place = jnp.where(there, (parent * (o + b) + row) * o + column, size)
-        front = front.at[place.reshape(-1)].add(flat)
-        p, q = row - o, column - o
-        inside = (row < o + b) & (q >= 0)
-        place = jnp.where(inside, parent * triangle + p * (p + 1) // 2 + q, n * triangle)
-        corner = jnp.zeros((n * triangle + 1, 36), blocks.dtype).at[place.reshape(-1)].add(flat)
-        corner = corner[:-1].reshape(n, triangle, 6, 6)
-    columns = jnp.transpose(front[:-1].reshape(n, o + b, o, 6, 6), (0, 1, 3, 2, 4))
-    columns = columns.reshape(n, 6 * (o + b), 6 * o)
-    unused = jnp.repeat(jnp.asarray(level.own) == num_poses, 6, axis=1)
-    own = columns[:, : 6 * o] + jnp.eye(6 * o, dtype=blocks.dtype) * unused[:, None].astype(blocks.dtype)
-    return own, columns[:, 6 * o :], corner
+def _blocks(plan: EliminationPlan) -> int:
+    """How many blocks all fronts have."""
+    sizes = [(*batch.own.shape, batch.boundary.shape[1]) for batch in plan.batches]
+    return sum(n * ((o + b) * o + b * (b + 1) // 2) for n, o, b in sizes)
+
+
+def _handed_to(batch: Batch, end: int) -> Int[Array, " u"]:
+    """Where the blocks of a batch's triangles go in their parents' fronts."""
+    i, j = np.tril_indices(batch.boundary.shape[1])
+    positions = jnp.asarray(batch.positions)
+    columns, triangle, width = (jnp.asarray(x)[:, None] for x in (batch.columns, batch.triangle, batch.width))
+    row, column = positions[:, i], positions[:, j]
+    p, q = row - width, column - width
+    place = jnp.where(q < 0, columns + row * width + column, triangle + p * (p + 1) // 2 + q)
+    return jnp.where(row < 0, end, place).reshape(-1)
 
 
 def multifrontal_solve(
@@ -88,16 +76,16 @@ def multifrontal_solve(
     # its pool while waiting for the other threads, end in a deadlock on a machine with two.
     whole = jnp.all(jnp.isfinite(fronts[-1].own))
     vector = jnp.where(whole, jnp.concatenate([right, jnp.zeros_like(right[:1])]), jnp.nan)
-    for level, front in zip(plan.levels, fronts, strict=True):
-        own, boundary = jnp.asarray(level.own), jnp.asarray(level.boundary)
+    for batch, front in zip(plan.batches, fronts, strict=True):
+        own, boundary = jnp.asarray(batch.own), jnp.asarray(batch.boundary)
         part = vector[own].reshape(own.shape[0], -1, 1)
         part = lax.linalg.triangular_solve(front.own, part, left_side=True, lower=True)
         vector = vector.at[own].set(part.reshape(*own.shape, 6))
         below = jnp.sum(front.boundary * jnp.swapaxes(part, 1, 2), axis=2)
         vector = vector.at[boundary].add(-below.reshape(*boundary.shape, 6))
     vector = vector.at[-1].set(0)
-    for level, front in zip(reversed(plan.levels), reversed(fronts), strict=True):
-        own, boundary = jnp.asarray(level.own), jnp.asarray(level.boundary)
+    for batch, front in zip(reversed(plan.batches), reversed(fronts), strict=True):
+        own, boundary = jnp.asarray(batch.own), jnp.asarray(batch.boundary)
         above = vector[boundary].reshape(boundary.shape[0], -1, 1)
         part = vector[own].reshape(own.shape[0], -1, 1) - jnp.sum(front.boundary * above, axis=1)[:, :, None]
         part = lax.linalg.triangular_solve(front.own, part, left_side=True, lower=True, transpose_a=True)

@@ -2,7 +2,7 @@
 
 A separator of few poses splits the graph into two halves that don't touch; each half is split in turn. The
 halves come first in the elimination, so all nodes at one depth of the resulting tree are independent of each
-other and are factorised as one batch of dense matrices.
+other; those of about the same size are factorised as one batch of dense matrices.
 
 Source: George and Liu, An automatic nested dissection algorithm for irregular finite element problems (1978),
 for separators from breadth-first distances; Duff and Reid, The multifrontal solution of indefinite sparse
@@ -17,7 +17,7 @@ import scipy.sparse as sparse
 from jaxtyping import Array, Bool, Int
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from sfgs_jax.factor_graph.capacities import LevelSize, capacity_for
+from sfgs_jax.factor_graph.capacities import BatchSize, capacity_for
 
 LEAF_POSES = 12
 """A part of at most so many poses is eliminated at once; leaves that go to the greatest depth have up to
@@ -35,42 +35,49 @@ IMBALANCE = 0.05
 _Indices = Int[Array | np.ndarray, "..."]
 
 
-class Level(eqx.Module):
-    """Nodes at one depth of the tree, two to the power of that depth, padded to the same numbers of poses.
+class Batch(eqx.Module):
+    """Nodes at one depth of the tree, padded to the same numbers of poses.
+
+    A node's front is a block lower triangle over its own poses and those of its boundary. All fronts lie one
+    after the other in one array of blocks: the (o + b) x o columns of a batch's nodes, then the b (b + 1) / 2
+    blocks of the triangle over the boundary.
 
     Attributes:
         own: (n, o) poses a node eliminates; P where unused.
         boundary: (n, b) poses of its ancestors that are then coupled to each other; P where unused.
-        sources: (e,) blocks that enter the fronts here: diagonal blocks, then those off it; P + B for none.
-        places: (e,) where they go: block of the n (o + b) x o front columns, or one past the end.
-        parent: (n,) node of the next level up.
-        positions: (n, b) of the boundary in the parent's front; o + b of the parent where unused.
+        positions: (n, b) of the boundary in the parent's front; -1 where unused.
+        columns: (n,) where the columns of the parent's front begin.
+        triangle: (n,) where its triangle begins.
+        width: (n,) columns it has room for, its o.
     """
 
     own: _Indices
     boundary: _Indices
-    sources: _Indices
-    places: _Indices
-    parent: _Indices
     positions: _Indices
+    columns: _Indices
+    triangle: _Indices
+    width: _Indices
 
 
 class EliminationPlan(eqx.Module):
     """Tree of fronts.
 
     Attributes:
-        levels: from the leaves to the root.
+        batches: from the leaves to the root.
+        places: (P + B,) where the blocks on the diagonal, then those off it, enter the fronts; one past the
+            end for what is unused.
         transposed: (B,) blocks off the diagonal whose second pose is eliminated before the first keep their
             orientation, the others are transposed: what is stored lies below the diagonal.
     """
 
-    levels: tuple[Level, ...]
+    batches: tuple[Batch, ...]
+    places: _Indices
     transposed: Bool[Array | np.ndarray, " B"]
 
     @property
-    def sizes(self) -> tuple[LevelSize, ...]:
-        """Of the levels, to pass on to the next plan."""
-        return tuple((v.own.shape[1], v.boundary.shape[1], v.sources.shape[0]) for v in self.levels)
+    def sizes(self) -> tuple[BatchSize, ...]:
+        """Of the batches, to pass on to the next plan."""
+        return tuple((batch.own.shape[1], batch.boundary.shape[1]) for batch in self.batches)
 
 
 @dataclass
@@ -79,14 +86,21 @@ class _Node:
     depth: int
     children: list["_Node"] = field(default_factory=list)
     boundary: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    index: int = 0
+    columns: int = 0
+    triangle: int = 0
+    width: int = 0
+
+    @property
+    def work(self) -> int:
+        """Grows as the time its front takes."""
+        return (len(self.own) + 1) * (len(self.own) + len(self.boundary)) ** 2
 
 
 def plan_elimination(
     rows: Int[np.ndarray, " B"],
     columns: Int[np.ndarray, " B"],
     num_poses: int,
-    given: tuple[LevelSize, ...] = (),
+    given: tuple[BatchSize, ...] = (),
 ) -> EliminationPlan:
     """Plan for a symmetric pattern of blocks. The depth of its tree is given by the number of poses alone.
 
@@ -105,25 +119,22 @@ def plan_elimination(
     deepest = max(0, (num_poses // LEAF_POSES).bit_length() - 1)
     depths: list[list[_Node]] = [[] for _ in range(deepest + 1)]
     _collect(_dissect(adjacency, np.arange(num_poses), 0, deepest), depths)
-    order = np.zeros(num_poses + 1, np.int64)
-    order[num_poses] = num_poses
-    owner = np.zeros(num_poses, np.int64)
+    order = np.full(num_poses + 1, num_poses)
     count = 0
-    for nodes in reversed(depths):
-        for i, node in enumerate(nodes):
-            node.index = i
-            order[node.own] = count + np.arange(len(node.own))
-            owner[node.own] = i
-            count += len(node.own)
-    for nodes in reversed(depths):
-        for node in nodes:
-            reached = [adjacency[node.own].indices.astype(np.int64), *(c.boundary for c in node.children)]
-            around = np.unique(np.concatenate(reached))
-            last = order[node.own].max() if len(node.own) else -1
-            above = around[order[around] > last] if len(node.own) else around
-            node.boundary = above[np.argsort(order[above])]
+    for node in (node for nodes in reversed(depths) for node in nodes):
+        order[node.own] = count + np.arange(len(node.own))
+        count += len(node.own)
+    for node in (node for nodes in reversed(depths) for node in nodes):
+        reached = [adjacency[node.own].indices.astype(np.int64), *(c.boundary for c in node.children)]
+        around = np.unique(np.concatenate(reached))
+        last = order[node.own].max() if len(node.own) else -1
+        above = around[order[around] > last]
+        node.boundary = above[np.argsort(order[above])]
+    batches = [batch for depth in reversed(range(len(depths))) for batch in _alike(depths[depth], depth)]
     transposed = order[columns] > order[rows]
-    return EliminationPlan(_levels(depths, order, owner, rows, columns, num_poses, given), transposed)
+    later, earlier = np.where(transposed, columns, rows), np.where(transposed, rows, columns)
+    laid_out, end = _lay_out(batches, num_poses, given)
+    return EliminationPlan(laid_out, _places(batches, earlier, later, num_poses, end), transposed)
 
 
 def _dissect(adjacency: sparse.csr_array, poses: np.ndarray, depth: int, deepest: int) -> _Node:
@@ -182,74 +193,75 @@ def _collect(node: _Node, depths: list[list[_Node]]) -> None:
         _collect(child, depths)
 
 
-def _levels(
-    depths: list[list[_Node]],
-    order: np.ndarray,
-    owner: np.ndarray,
-    rows: np.ndarray,
-    columns: np.ndarray,
-    num_poses: int,
-    given: tuple[LevelSize, ...],
-) -> tuple[Level, ...]:
-    depth_of = np.zeros(num_poses + 1, np.int64)
-    for depth, nodes in enumerate(depths):
-        for node in nodes:
-            depth_of[node.own] = depth
-    known = given[::-1] if len(given) == len(depths) else ((0, 0, 0),) * len(depths)
-    owns = [
-        capacity_for(_with_room(max((len(n.own) for n in nodes), default=0)), size[0])
-        for nodes, size in zip(depths, known, strict=True)
-    ]
-    bounds = [
-        capacity_for(_with_room(max((len(n.boundary) for n in nodes), default=0)), size[1]) if depth else 0
-        for depth, (nodes, size) in enumerate(zip(depths, known, strict=True))
-    ]
-    used = rows < num_poses
-    first = np.where(order[rows] < order[columns], rows, columns)
-    second = np.where(order[rows] < order[columns], columns, rows)
-    slots = num_poses + np.arange(len(rows))
+def _alike(nodes: list[_Node], depth: int) -> list[tuple[int, list[_Node]]]:
+    """Nodes of one depth in batches with their capacities: many small ones, and ever fewer large ones."""
+    count = 2**depth
+    shares = (8,) if count < 4 else (6, 2) if count < 16 else (4, 3, 1)
+    nodes = sorted(nodes, key=lambda node: -node.work)
+    batches = []
+    for capacity in (count * share // 8 for share in reversed(shares)):
+        batches.append((capacity, nodes[:capacity]))
+        nodes = nodes[capacity:]
+    return batches
 
-    levels = []
-    for depth in reversed(range(len(depths))):
-        nodes, o, b = depths[depth], owns[depth], bounds[depth]
-        count = 2**depth
-        own = np.full((count, o), num_poses, np.int32)
-        boundary = np.full((count, b), num_poses, np.int32)
-        parent = np.zeros(count, np.int32)
-        above = owns[depth - 1] + bounds[depth - 1] if depth else 0
-        positions = np.full((count, b), above, np.int32)
-        # Position of a pose in each front: found in a table per node, for all its blocks at once.
-        place = np.zeros((count, num_poses), np.int32)
+
+def _lay_out(
+    batches: list[tuple[int, list[_Node]]], num_poses: int, given: tuple[BatchSize, ...]
+) -> tuple[tuple[Batch, ...], int]:
+    """Arrays of the batches, and how many blocks their fronts have together."""
+    known = given if len(given) == len(batches) else ((0, 0),) * len(batches)
+    sizes: list[BatchSize] = []
+    end = 0
+    for (count, nodes), (own, boundary) in zip(batches, known, strict=True):
+        o = capacity_for(_with_room(max((len(node.own) for node in nodes), default=0)), own)
+        # Only the root hands nothing up.
+        widest = max((len(node.boundary) for node in nodes), default=0)
+        b = capacity_for(_with_room(widest), boundary) if len(sizes) < len(batches) - 1 else 0
+        for i, node in enumerate(nodes):
+            node.columns, node.width = end + i * (o + b) * o, o
+            node.triangle = end + count * (o + b) * o + i * (b * (b + 1) // 2)
+        end += count * ((o + b) * o + b * (b + 1) // 2)
+        sizes.append((o, b))
+    parents = {id(child): node for _, nodes in batches for node in nodes for child in node.children}
+    place = np.zeros(num_poses, np.int32)
+    laid_out = []
+    for (count, nodes), (o, b) in zip(batches, sizes, strict=True):
+        own, boundary = np.full((count, o), num_poses, np.int32), np.full((count, b), num_poses, np.int32)
+        positions = np.full((count, b), -1, np.int32)
+        columns, triangle, width = (np.zeros(count, np.int32) for _ in range(3))
         for i, node in enumerate(nodes):
             own[i, : len(node.own)] = node.own
             boundary[i, : len(node.boundary)] = node.boundary
-            place[i, node.own] = np.arange(len(node.own))
-            place[i, node.boundary] = o + np.arange(len(node.boundary))
-        if depth:
-            for p, node in enumerate(depths[depth - 1]):
-                for child in node.children:
-                    parent[child.index] = p
-                    at = {int(v): k for k, v in enumerate(node.own)}
-                    at |= {int(v): owns[depth - 1] + k for k, v in enumerate(node.boundary)}
-                    positions[child.index, : len(child.boundary)] = [at[int(v)] for v in child.boundary]
-        here = np.flatnonzero(used & (depth_of[first] == depth))
-        i, u, v = owner[first[here]], first[here], second[here]
-        poses = np.flatnonzero(depth_of[:num_poses] == depth)
-        j = owner[poses]
-        places = np.concatenate(
-            [
-                (j * (o + b) + place[j, poses]) * o + place[j, poses],
-                (i * (o + b) + place[i, v]) * o + place[i, u],
-            ]
-        )
-        sources = np.concatenate([poses, slots[here]])
-        unused = capacity_for(_with_room(len(sources)), known[depth][2]) - len(sources)
-        sources = np.append(sources, np.full(unused, num_poses + len(rows)))
-        places = np.append(places, np.full(unused, count * (o + b) * o))
-        levels.append(
-            Level(own, boundary, sources.astype(np.int32), places.astype(np.int32), parent, positions)
-        )
-    return tuple(levels)
+            parent = parents.get(id(node))
+            if parent is not None:
+                place[parent.own] = np.arange(len(parent.own))
+                place[parent.boundary] = parent.width + np.arange(len(parent.boundary))
+                positions[i, : len(node.boundary)] = place[node.boundary]
+                columns[i], triangle[i], width[i] = parent.columns, parent.triangle, parent.width
+        laid_out.append(Batch(own, boundary, positions, columns, triangle, width))
+    return tuple(laid_out), end
+
+
+def _places(
+    batches: list[tuple[int, list[_Node]]],
+    earlier: np.ndarray,
+    later: np.ndarray,
+    num_poses: int,
+    end: int,
+) -> np.ndarray:
+    """Where the matrix's blocks enter the fronts: in the columns of the pose that is eliminated first."""
+    places = np.full(num_poses + len(earlier), end, np.int32)
+    by_pose = np.argsort(earlier, kind="stable")
+    starts = np.searchsorted(earlier[by_pose], np.arange(num_poses + 1))
+    row = np.zeros(num_poses, np.int32)
+    for node in (node for _, nodes in batches for node in nodes):
+        row[node.own] = np.arange(len(node.own))
+        row[node.boundary] = node.width + np.arange(len(node.boundary))
+        for column, pose in enumerate(node.own.tolist()):
+            entries = by_pose[starts[pose] : starts[pose + 1]]
+            places[num_poses + entries] = node.columns + row[later[entries]] * node.width + column
+            places[pose] = node.columns + column * node.width + column
+    return places
 
 
 def _with_room(count: int) -> int:

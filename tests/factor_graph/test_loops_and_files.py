@@ -11,6 +11,7 @@ from sfgs_jax.factor_graph import (
     RelativePose,
     consistent_loops,
     cost,
+    odometry_start,
     plot_graph,
     read_g2o,
     solve,
@@ -18,7 +19,7 @@ from sfgs_jax.factor_graph import (
     write_g2o,
 )
 from sfgs_jax.geometry import InputError
-from tests.factor_graph.graphs import eye, random_poses, ring
+from tests.factor_graph.graphs import compose, eye, inverse, random_poses, ring
 
 NOISE = 0.01
 
@@ -100,6 +101,8 @@ def test_g2o_files_come_back(tmp_path, rng):
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1", "line 2 .* EDGE_SE2 is not one of"),
         ("EDGE_SE3:QUAT 0 1 1 0 0", "line 2 .* needs other numbers"),
         ("FIX 7", "no VERTEX_SE3:QUAT line for vertex 7"),
+        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1", "line 2 .* there already"),
+        ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 0", "line 2 .* needs other numbers"),
     ],
 )
 def test_other_g2o_lines_are_refused_with_their_place(tmp_path, line, message):
@@ -113,3 +116,33 @@ def test_a_picture_is_drawn(tmp_path, rng):
     graph, start, truth = ring(rng)
     plot_graph(graph, start, truth, tmp_path / "graph.png")
     assert (tmp_path / "graph.png").stat().st_size > 10_000
+
+
+def test_odometry_is_followed_over_gaps_and_against_the_arrow(rng):
+    graph, _, truth = ring(rng, n=8, noise=1e-8, loops=1)
+    edges = graph.factors[1]
+    mask = np.ones(len(edges.valid), bool)
+    mask[3] = False  # from 3 to 4: what lies beyond is reached over the loop between 0 and 7
+    found = odometry_start(RelativePose(edges.poses, edges.T_a_b, edges.matrices, valid=mask), 9)
+    # The first pose of each piece is at the origin, and so is one that nothing touches.
+    first = jaxlie.SE3(truth.poses.wxyz_xyz[:1])
+    expected = compose(jaxlie.SE3(np.tile(inverse(first).wxyz_xyz, (8, 1))), truth.poses)
+    np.testing.assert_allclose(found.poses.wxyz_xyz[:8, 4:], expected.wxyz_xyz[:, 4:], atol=1e-5)
+    np.testing.assert_allclose(found.poses.wxyz_xyz[8], [1, 0, 0, 0, 0, 0, 0], atol=1e-6)
+
+
+def test_g2o_files_may_have_edges_alone_gaps_and_rounded_quaternions(tmp_path):
+    path = tmp_path / "c.g2o"
+    weight = " ".join(["1"] + ["0"] * 20)
+    path.write_text(
+        "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n"
+        f"EDGE_SE3:QUAT 7 9 1 0 0 0 0 0.7071 0.7071 {weight}\n"
+        f"EDGE_SE3:QUAT 40 9 -1 0 0 0 0 0 1 {weight}\nFIX 7\n"
+    )
+    read = read_g2o(path)
+    np.testing.assert_array_equal(read.vertices, [7, 9, 40])
+    np.testing.assert_array_equal(read.fixed, [True, False, False])
+    np.testing.assert_array_equal(read.edges.poses, [[0, 1], [2, 1]])
+    np.testing.assert_allclose(
+        read.values.poses.wxyz_xyz[:, 4:], [[0, 0, 0], [1, 0, 0], [1, 1, 0]], atol=1e-6
+    )
