@@ -19,8 +19,8 @@ class FeaturesConfig:
     min_contrast: float = 0.03
     """A keypoint counts where the grey values of the cells around it differ by at least this, of 1: on a
     wall without texture, or in the dark, an extractor finds its own artefacts."""
-    depth_tolerance: float = 0.05
-    """A keypoint has no depth if its neighbours' differ by more than this share."""
+    depth_tolerance: float = 0.03
+    """A keypoint has no depth if the surface around it bends by more than this share of its depth."""
     max_rigid_matches: int = 256
     """The best matches, from which the first, rigid motion is found."""
     max_distance: float = 0.08

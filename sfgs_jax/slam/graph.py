@@ -41,7 +41,8 @@ def _with_systematic_error(information: Float[np.ndarray, "6 6"], config: GraphC
 def neighbours(state: SlamState) -> tuple[tuple[int, int], ...]:
     """Pairs of the newest keyframe with earlier ones that see the same, but for its reference.
 
-    Judged by their poses: cameras near each other that look the same way.
+    Judged by their poses: cameras near each other that look the same way. Without loops only recent ones,
+    since a place that is met again after a way around closes a loop, however small the drift.
     """
     config = state.config.graph
     poses = se3.matrices_of(state.keyframe_poses)
@@ -50,6 +51,8 @@ def neighbours(state: SlamState) -> tuple[tuple[int, int], ...]:
     distance = np.linalg.norm(poses[:newest, :3, 3] - poses[newest, :3, 3], axis=1)
     angle = np.arccos(np.clip(poses[:newest, :3, 2] @ poses[newest, :3, 2], -1, 1))
     near = (distance < config.neighbour_distance) & (angle < config.neighbour_angle)
+    if not config.loops:
+        near &= newest - np.arange(newest) <= config.loop_gap
     order = np.argsort(distance + angle, kind="stable")
     chosen = [int(i) for i in order if near[i] and int(i) not in known][: config.num_neighbours]
     return tuple((i, newest) for i in chosen)

@@ -126,6 +126,8 @@ def signature(features: Features) -> Float[Array, " d"]:
 
 _CELL = 8
 """Pixels along the side of the cells that contrast is judged by."""
+_BLOCK = 4
+"""Pixels along the side of the blocks in them that are averaged first: noise has contrast too."""
 
 
 def _with_contrast(features: Features, rgb: Float[Array, "H W 3"], least: float) -> Features:
@@ -133,9 +135,11 @@ def _with_contrast(features: Features, rgb: Float[Array, "H W 3"], least: float)
     grey = rgb[..., 1]
     height, width = grey.shape
     rows, columns = height // _CELL, width // _CELL
-    cells = grey[: rows * _CELL, : columns * _CELL].reshape(rows, _CELL, columns, _CELL)
+    parts = _CELL // _BLOCK
+    blocks = grey[: rows * _CELL, : columns * _CELL].reshape(rows, parts, _BLOCK, columns, parts, _BLOCK)
+    means = jnp.mean(blocks, axis=(2, 5))
     reach = ((1, 1), (1, 1))
-    low, high = jnp.min(cells, axis=(1, 3)), jnp.max(cells, axis=(1, 3))
+    low, high = jnp.min(means, axis=(1, 3)), jnp.max(means, axis=(1, 3))
     low, high = (
         jax.lax.reduce_window(x, start, pick, (3, 3), (1, 1), reach)
         for x, start, pick in ((low, jnp.inf, jax.lax.min), (high, -jnp.inf, jax.lax.max))
@@ -154,21 +158,23 @@ def empty_features() -> Features:
 def _depth_at(
     depth: Float[Array, "H W"], pixels: Float[Array, "k 2"], tolerance: float
 ) -> Float[Array, " k"]:
-    """Depth at the nearest pixel, 0 where the 3 x 3 around it holds an edge.
+    """Depth at the nearest pixel, 0 where the 9 x 9 around it holds an edge.
 
-    Corners often lie on the outlines of things, where a pixel's depth is that of one side or the other.
+    Corners often lie on the outlines of things, where a pixel's depth is that of one side or the other, and
+    the outline of a round thing does not even stay where it is. Across a plane, 1 / depth is linear, however
+    steep the plane: an edge is where the mean of two opposite pixels differs from the one between them.
     """
     height, width = depth.shape
-    steps = jnp.arange(-1, 2)
+    steps = jnp.arange(-4, 5, 2)
     u, v = jnp.round(jax.lax.stop_gradient(pixels)).astype(jnp.int32).T
     rows = jnp.clip(v[:, None, None] + steps[:, None], 0, height - 1)
     columns = jnp.clip(u[:, None, None] + steps, 0, width - 1)
-    around = depth[rows, columns]
-    known = around > 0
-    far = jnp.max(around, axis=(1, 2))
-    near = jnp.min(jnp.where(known, around, jnp.inf), axis=(1, 2))
-    centre = around[:, 1, 1]
-    return jnp.where((centre > 0) & (far - near < tolerance * centre), centre, 0)
+    around = depth[rows, columns].reshape(-1, 25)
+    centre = around[:, 12]
+    relative = centre[:, None] / jnp.where(around > 0, around, jnp.inf)
+    bend = jnp.abs((relative + relative[:, ::-1]) / 2 - 1)
+    both = (around > 0) & (around[:, ::-1] > 0)
+    return jnp.where((centre > 0) & jnp.all(~both | (bend < tolerance), axis=1), centre, 0)
 
 
 def blank_observation(camera: Camera, config: TrackingConfig) -> Observation:

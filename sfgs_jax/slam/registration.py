@@ -95,11 +95,12 @@ def register(
     weak = jnp.eye(6) / config.guess_sigma**2
     prior = gicp.MotionPrior(T, jnp.where(keypoints, matched.information, weak))
     result = gicp.align(source.cloud, target.cloud, T, prior=prior, config=config.gicp)
-    finite = jnp.all(jnp.isfinite(result.T_target_source.wxyz_xyz))
+    found = _choose(keypoints, result.T_target_source, _held(result, guess))
+    finite = jnp.all(jnp.isfinite(found.wxyz_xyz))
     surface = finite & (result.inlier_fraction >= config.min_inlier_fraction)
     # Many matches that agree on another motion prove the surface's alignment wrong.
-    agree = _apart(matched.T_target_source, result.T_target_source) < config.max_disagreement
-    near = _apart(guess, result.T_target_source) < config.max_correction_alone
+    agree = _apart(matched.T_target_source, found) < config.max_disagreement
+    near = _apart(guess, found) < config.max_correction_alone
     alone = near & (result.inlier_fraction >= config.min_inlier_fraction_alone)
     surface &= jnp.where(keypoints, agree, alone)
     free = jnp.sum(result.free)
@@ -110,7 +111,7 @@ def register(
         jnp.where(keypoints, int(Carrier.KEYPOINTS), int(Carrier.NONE)),
     )
     return Registration(
-        _choose(surface, result.T_target_source, T),
+        _choose(surface, found, T),
         jnp.where(surface, result.information, 0),
         matched,
         carrier,
@@ -118,6 +119,16 @@ def register(
         result.rmse,
         free,
     )
+
+
+def _held(result: gicp.RegistrationResult, guess: jaxlie.SE3) -> jaxlie.SE3:
+    """The motion found, but for the directions that the surface leaves free: there the guess.
+
+    What noise, outlines and the facets of a smooth surface pull at there would add up from frame to frame.
+    """
+    off = se3.log(se3.compose(se3.inverse(guess), result.T_target_source))
+    shares = jnp.linalg.solve(result.directions, off)
+    return se3.compose(guess, se3.exp(result.directions @ jnp.where(result.free, 0, shares)))
 
 
 def _apart(a: jaxlie.SE3, b: jaxlie.SE3) -> Float[Array, ""]:

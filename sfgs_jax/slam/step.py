@@ -217,8 +217,14 @@ def _placed(state: SlamState, tracking: Tracking) -> SlamState:
     if tracking.carrier == Carrier.NONE or tracking.found is None:
         return replace(state, T_previous_current=se3.identity())
     T = tracking.found.T_target_source
-    motion = se3.identity() if tracking.relocalised else motion_since(state, tracking.reference, T)
     coasting = state.num_coasting + 1 if tracking.carrier == Carrier.COASTING else 0
+    if tracking.relocalised:
+        motion = se3.identity()
+    elif coasting:
+        # Nothing new was learnt of it.
+        motion = state.T_previous_current
+    else:
+        motion = motion_since(state, tracking.reference, T)
     return replace(
         state,
         reference=tracking.reference,

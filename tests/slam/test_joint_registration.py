@@ -79,6 +79,30 @@ def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, tracking):
     np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], [0.02, 0.01, 0.05], atol=0.004)
 
 
+def test_noise_on_a_bare_wall_is_no_keypoint(rng, look):
+    bare = wall(texture(rng), SHIFT, bare=True)
+    noisy = Frame(bare.rgb + rng.normal(scale=0.01, size=bare.rgb.shape).astype(np.float32), bare.depth, 0.0)
+    assert not np.any(look(noisy).keypoints.features.valid)
+    # Of a textured one it hides few.
+    clear = wall(texture(rng), SHIFT)
+    assert np.sum(look(clear).keypoints.features.valid) > 100
+
+
+def test_keypoints_beside_an_edge_have_no_depth_and_those_on_a_slope_have(rng, look):
+    frame = wall(texture(rng), SHIFT)
+    step = np.where(np.arange(160) < 80, 1.5, 2.0) + np.zeros((120, 1))
+    # A floor: the inverse of its depth is linear in the image, and falls by two thirds in it.
+    slope = 1 / np.linspace(0.25, 0.75, 120)[:, None] + np.zeros(160)
+    for depth, edge in ((step, True), (slope, False)):
+        keypoints = look(Frame(frame.rgb, depth.astype(np.float32), 0.0)).keypoints
+        column = np.asarray(keypoints.features.keypoints)[:, 0]
+        near = np.asarray(keypoints.features.valid) & (np.abs(column - 79.5) < 3)
+        far = np.asarray(keypoints.features.valid) & (np.abs(column - 79.5) > 6)
+        assert near.sum() > 2
+        assert np.all((np.asarray(keypoints.depth)[near] == 0) == edge)
+        assert np.all(np.asarray(keypoints.depth)[far] > 0)
+
+
 @pytest.mark.parametrize(
     ("dark", "blind", "carrier"),
     [

@@ -70,6 +70,21 @@ def test_after_a_jump_the_frame_is_found_among_all_keyframes(long_room, settings
     assert not following.relocalised
 
 
+def test_what_the_reference_no_longer_shows_is_found_by_way_of_the_frame_before(long_room, settings):
+    never = replace(
+        settings.tracking, keyframe_inlier_fraction=0.0, keyframe_translation=10.0, keyframe_rotation=3.0
+    )
+    state = slam.init(long_room.camera, replace(settings, tracking=never))
+    numbers = range(0, 33, 2)
+    state, infos = follow(state, long_room, numbers)
+    assert all(info.tracked and not info.relocalised for info in infos)
+    # No frame asked to be a keyframe, so the second is one that a later frame needed.
+    assert not any(info.new_keyframe for info in infos[1:])
+    assert len(state.keyframes) > 1
+    assert 0 < state.keyframes[1].frame < len(numbers) - 1
+    assert max(error(long_room, n, i) for n, i in zip(numbers, infos, strict=True)) < 0.05
+
+
 def test_a_first_frame_that_shows_nothing_starts_no_map(long_room, settings):
     state, (info,) = follow(slam.init(long_room.camera, settings), long_room, [None])
     assert not info.tracked

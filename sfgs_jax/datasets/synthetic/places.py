@@ -83,11 +83,13 @@ def _wall(seed: int, num_frames: int) -> Place:
 
 
 def _sphere(seed: int, num_frames: int) -> Place:
-    """A bare sphere that the camera goes half around and back, with a few things beyond it."""
+    """A bare sphere in a hall, which the camera goes half around and back, closest half way."""
     rng = np.random.default_rng(seed)
-    builder = Builder()
+    # Below the lamps' reach, since their light would show the triangles.
+    depth = -20.0
+    builder = Builder(origin=(0.0, 0.0, depth))
     builder.sphere("bare", (0, 0, _EYE), 1.0, subdivisions=3)
-    builder.box("floor", (-6, -6, -0.1), (6, 6, 0))
+    _hall(builder, (-6, -6, 0), (6, 6, 4))
     for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
         _thing(
             builder,
@@ -99,7 +101,7 @@ def _sphere(seed: int, num_frames: int) -> Place:
     angle = np.pi / 2 * (1 - np.cos(phase))
     distance = 2.4 - 0.7 * np.sin(phase / 2) ** 2
     position = np.stack(
-        [distance * np.cos(angle), distance * np.sin(angle), np.full(num_frames, _EYE)], axis=1
+        [distance * np.cos(angle), distance * np.sin(angle), np.full(num_frames, depth + _EYE)], axis=1
     )
     return Place(builder.build(rng), looking(position, angle + np.pi, -0.05 + 0 * phase, 0 * phase))
 
