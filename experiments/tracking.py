@@ -56,7 +56,7 @@ def measure(recording: Recording, config: SlamConfig, name: str) -> tuple[str, .
         f"{len(state.trajectory)} / {len(recording)}",
         f"{error:.2f}",
         str(len(state.keyframes)),
-        str(state.num_loops),
+        str(len(state.loops)),
         f"{times['median_ms']:.0f} / {times['p95_ms']:.0f}",
     )
 

@@ -105,7 +105,7 @@ def run_metrics(run: Run) -> dict[str, object]:
         "stages": stages,
         "map": {"gaussians": used, "bytes": size, "dropped": state.mapping.dropped_seeds},
         "memory": {"peak_mb": round(peak_memory_mb(), 1)},
-        "loops": {"accepted": state.num_loops},
+        "loops": {"accepted": len(state.loops)},
         "versions": versions(),
     }
 

@@ -114,9 +114,10 @@ class SlamState(eqx.Module):
         return self.mapping.map.gaussians
 
     @property
-    def num_loops(self) -> int:
-        """Loops that were closed."""
-        return sum(edge.loop for edge in self.edges)
+    def loops(self) -> tuple[Edge, ...]:
+        """Registrations that tie a place met again to what was there before, however small the drift was."""
+        gap = self.config.graph.loop_gap
+        return tuple(edge for edge in self.edges if edge.loop or edge.source - edge.target > gap)
 
     @property
     def mapping_factor(self) -> int:
