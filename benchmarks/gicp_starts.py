@@ -21,8 +21,8 @@ from benchmarks.gicp import CAMERA, data_root, load, motion_error
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import align, prepare, prepare_points
 
-STARTS = range(0, 560, 40)
-TRIALS = 2
+STARTS = range(10, 570, 40)
+TRIALS = 6
 PERTURBATIONS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0), (5.0, 10.0), (10.0, 10.0))
 
 Aligner = Callable[[np.ndarray], np.ndarray]

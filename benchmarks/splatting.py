@@ -245,12 +245,11 @@ def scene_table(view: View, rates: Rates) -> None:
 
 
 def growth_table(views: list[View], rates: Rates) -> None:
-    """Times against Gaussians, pairs and pixels, and how well they are a sum of a time for each of these."""
+    """Times against Gaussians and pairs, and how well they are a sum of a time for each."""
     counts, programs = [], []
     for view in views:
         config = view.config()
-        pixels = view.camera.width * view.camera.height
-        counts.append((view.gaussians.means.shape[0], count_pairs(view, config), pixels))
+        counts.append((view.gaussians.means.shape[0], count_pairs(view, config)))
         both = view.forward(config), view.gradient(config)
         programs.append([jax.jit(program).lower(view.gaussians).compile() for program in both])
     # In turns, so that a slow minute of the machine is shared by all.
@@ -264,7 +263,7 @@ def growth_table(views: list[View], rates: Rates) -> None:
     measured = np.median(times[1:], axis=0)
 
     # Least squares of relative errors, as the times span two orders of magnitude.
-    terms = np.column_stack([counts, np.ones(len(views))])
+    terms = np.asarray(counts)
     fits = [nnls(terms / measured[:, [j]], np.ones(len(views)))[0] for j in range(2)]
     head = f"{'pairs':>10}{'forward':>12}{'fit':>9}{'/ floor':>9}{'+ backward':>12}{'fit':>9}{'/ floor':>9}"
     print(f"\n{'Gaussians':>10}{'image':>12}{head}{'ns a pair':>11}")
@@ -272,15 +271,12 @@ def growth_table(views: list[View], rates: Rates) -> None:
         tile_pixels = row[1] * RenderConfig().tile_size ** 2
         print(f"{row[0]:10}{f'{view.camera.width}x{view.camera.height}':>12}{row[1]:10}", end="")
         for j, floor in enumerate(rates.floors(tile_pixels)):
-            print(f"{ms[j]:12.1f}{np.dot([*row, 1], fits[j]):9.1f}{ms[j] / floor:9.1f}", end="")
+            print(f"{ms[j]:12.1f}{np.dot(row, fits[j]):9.1f}{ms[j] / floor:9.1f}", end="")
         print(f"{1e6 * ms[1] / row[1]:11.0f}")
     for name, fit, ms in zip(("forward", "forward + backward"), fits, measured.T, strict=True):
-        gaussian, pair, pixel, rest = 1e6 * fit
         off = 100 * np.abs(terms @ fit / ms - 1)
-        print(f"{name}: {gaussian:.0f} ns a Gaussian + {pair:.0f} a pair + {pixel:.0f} a pixel ", end="")
-        print(
-            f"+ {rest / 1e6:.1f} ms, off by {np.sqrt(np.mean(off**2)):.0f} % RMS, {off.max():.0f} % at most"
-        )
+        print(f"{name}: {1e6 * fit[0]:.0f} ns a Gaussian + {1e6 * fit[1]:.0f} ns a pair, ", end="")
+        print(f"off by {np.sqrt(np.mean(off**2)):.0f} % RMS, {off.max():.0f} % at most")
 
 
 def converted(tree: Tree, dtype: jnp.dtype) -> Tree:

@@ -69,8 +69,11 @@ class GicpConfig:
     edge_tolerance: float = 0.02
     """Share of the depth beyond which a window is taken to straddle a depth edge."""
 
-    strides: tuple[int, ...] = (2, 2, 1, 1)
+    strides: tuple[int, ...] = (2, 2, 1, 2)
     """Per level from the finest: every stride-th row and column of the source is aligned."""
+
+    min_points: tuple[int, ...] = (4800, 1200, 300, 300)
+    """Per level from the finest: strides are smaller where they would leave fewer pixels than this."""
 
     max_iterations: tuple[int, ...] = (12, 8, 24, 24)
     """Per level from the finest: most steps. From a good start a level ends after a few."""
@@ -88,6 +91,10 @@ class GicpConfig:
     max_distance: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8)
     """Per level from the finest: correspondences farther apart are dropped, metres. The coarsest level has to
     bear a start that is 10 cm and 10 degrees off, which moves a point at 3 m by more than half a metre."""
+
+    windows: tuple[int, ...] = (0, 0, 0, 3)
+    """Per level from the finest: in an organised target a point meets the nearest one in a window of this
+    radius around its pixel, pixels. Far from the answer the pixel alone misleads."""
 
     max_voxels: float = 2.0
     """The same for unorganised targets, in voxels of the level; 1 to 2 is what the search reaches."""

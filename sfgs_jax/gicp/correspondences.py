@@ -47,6 +47,7 @@ class Target(eqx.Module):
         min_normal_cosine: least cosine between the normals of a correspondence.
         search: camera of an organised target, hash of an unorganised one.
         oriented: whether the normals face the sensor; static.
+        window: pixels around the one that a point meets in which the nearest point is looked for; static.
     """
 
     rows: Float[Array, "M C"]
@@ -55,6 +56,7 @@ class Target(eqx.Module):
     min_normal_cosine: Float[Array, ""]
     search: Camera | SpatialHash
     oriented: bool = eqx.field(static=True)
+    window: int = eqx.field(static=True, default=0)
 
 
 class Correspondences(eqx.Module):
@@ -95,7 +97,8 @@ def target_of(level: OrganisedLevel | PointLevel, index: int, config: GicpConfig
         rows = jnp.concatenate([level.points, level.normals], axis=-1).reshape(-1, 6)
         zero = jnp.zeros((), rows.dtype)
         reach = zero + at_level(config.max_distance, index)
-        return Target(rows, zero, reach, zero + cosine, level.camera, oriented=True)
+        window = at_level(config.windows, index)
+        return Target(rows, zero, reach, zero + cosine, level.camera, oriented=True, window=window)
     match level.covariance:
         case "neighbours":
             rows = jnp.concatenate([level.points, level.normals], axis=1)
@@ -118,7 +121,7 @@ def _shapes(covariances: Float[Array, "M 3 3"], epsilon: float) -> Float[Array, 
     return ((1 - epsilon) * scaled + epsilon * unit).T
 
 
-def dot(a: Float[Array, "3 N"], b: Float[Array, "3 N"]) -> Float[Array, " N"]:
+def dot(a: Float[Array, "3 *N"], b: Float[Array, "3 *N"]) -> Float[Array, "*N"]:
     """Scalar products, written out: XLA does not vectorise a sum over three rows."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -145,12 +148,28 @@ def _find(
     if isinstance(target.search, SpatialHash):
         index, found = nearest(target.search, moved, slots=NEAREST_SLOTS)
         return index, found & source.valid
-    camera = target.search
-    x, y, z = moved
+    index, inside = _seen(target.search, moved, target.window)
+    if target.window > 0:
+        points = jnp.moveaxis(target.rows[:, :3][index], -1, 0)
+        surface = jnp.any(target.rows[:, 3:6] != 0, axis=1)[index]
+        offset = moved[:, None] - points
+        square = jnp.where(inside & surface, dot(offset, offset), jnp.inf)
+        nearest_of_window = jnp.argmin(square, axis=0)[None]
+        index, inside = (jnp.take_along_axis(x, nearest_of_window, axis=0) for x in (index, inside))
+    return index[0], inside[0] & source.valid
+
+
+def _seen(
+    camera: Camera, points: Float[Array, "3 N"], window: int
+) -> tuple[Int[Array, "K N"], Bool[Array, "K N"]]:
+    """The pixels of the window around each point's, and whether they are in the image."""
+    x, y, z = points
     inverse = 1 / jnp.maximum(z, 1e-6)
-    u = jnp.round(camera.fx * x * inverse + camera.cx)
-    v = jnp.round(camera.fy * y * inverse + camera.cy)
-    inside = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & source.valid
+    shifts = jnp.arange(-window, window + 1, dtype=x.dtype)
+    du, dv = (shift.reshape(-1, 1) for shift in jnp.meshgrid(shifts, shifts))
+    u = jnp.round(camera.fx * x * inverse + camera.cx) + du
+    v = jnp.round(camera.fy * y * inverse + camera.cy) + dv
+    inside = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     return jnp.where(inside, v * camera.width + u, 0).astype(jnp.int32), inside
 
 

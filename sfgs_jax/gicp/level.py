@@ -1,5 +1,7 @@
 """Alignment at one level: the steps, and the exact derivative of where they end."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -158,8 +160,8 @@ def level_problem(
     source: Levels, target: Levels, prior: MotionPrior | None, index: int, config: GicpConfig
 ) -> LevelProblem:
     """The problem at a level, counted from the finest; a cloud with fewer levels repeats its coarsest."""
-    stride = at_level(config.strides, index)
     level = at_level(source, index)
+    stride = stride_of(level, index, config)
     samples = samples_of(level, stride, config)
     return LevelProblem(
         samples,
@@ -171,6 +173,12 @@ def level_problem(
         at_level(config.max_iterations, index),
         config,
     )
+
+
+def stride_of(level: OrganisedLevel | PointLevel, index: int, config: GicpConfig) -> int:
+    """Every how many rows and columns of a source's level are aligned; small images keep what they have."""
+    kept = level.valid.size // at_level(config.min_points, index)
+    return max(1, min(at_level(config.strides, index), math.isqrt(kept)))
 
 
 def shared_by(level: OrganisedLevel | PointLevel, stride: int, config: GicpConfig) -> float:

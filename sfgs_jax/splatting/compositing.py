@@ -70,7 +70,9 @@ class _Blocks(eqx.Module):
 
 def _make_blocks(lists: TileLists, columns: int, tile_size: int, dtype: jnp.dtype) -> _Blocks:
     tiles, capacity = lists.counts.shape[0], lists.gaussians.shape[0]
-    size = min(tiles, max(1, _BLOCK_PIXELS // tile_size**2))
+    # Blocks of one size, so that the last is not mostly empty lists.
+    blocks = -(-tiles // max(1, _BLOCK_PIXELS // tile_size**2))
+    size = -(-tiles // blocks)
     order = stable_argsort((capacity - lists.counts).astype(jnp.uint32))
     empty = -tiles % size
 

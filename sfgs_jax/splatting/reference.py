@@ -69,7 +69,8 @@ def render(
 def _view(
     gaussian: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Image centre, inverse Cholesky factor of its covariance, opacity, colour, depth of one Gaussian, and whether it is drawn."""
+    """Of one Gaussian: image centre, inverse Cholesky factor of the image's covariance, opacity, colour,
+    depth, and whether it is drawn."""
     R_world_cam = se3.rotation_matrix(T_world_cam)
     offset = gaussian.means - T_world_cam.wxyz_xyz[4:]
     point = R_world_cam.T @ offset

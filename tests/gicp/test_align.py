@@ -16,7 +16,9 @@ from tests.gicp.scenes import WALL, cast, motion_error
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
 # Images a quarter as wide have points to spare at the finest level alone. Steps go on until they are shorter
 # than the errors that the noise makes: those are compared with what the result predicts.
-CONFIG = GicpConfig(noise=0.001, noise_per_square_metre=0.0, strides=(2, 1, 1, 1), tolerance=1e-5)
+CONFIG = GicpConfig(
+    noise=0.001, noise_per_square_metre=0.0, strides=(2, 1, 1, 1), min_points=(1,), tolerance=1e-5
+)
 MOTION = np.asarray(se3.matrix(se3.exp(jnp.asarray([0.03, -0.02, 0.04, 0.02, -0.03, 0.015]))), np.float64)
 
 
