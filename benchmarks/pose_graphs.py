@@ -84,8 +84,8 @@ def garage(rng: np.random.Generator) -> World:
 
 
 def lattice(rng: np.random.Generator) -> World:
-    """512 poses to and fro through a cube of streets, looking anywhere, 300 loops between neighbours."""
-    n = 8
+    """125 poses to and fro through a cube of streets, looking anywhere, 40 loops between neighbours."""
+    n = 5
     z, y, x = np.mgrid[:n, :n, :n].reshape(3, -1)
     y = np.where(z % 2 == 0, y, n - 1 - y)
     x = np.where((np.arange(n**3) // n) % 2 == 0, x, n - 1 - x)
@@ -93,17 +93,17 @@ def lattice(rng: np.random.Generator) -> World:
     truth = np.tile(np.eye(4), (n**3, 1, 1))
     truth[:, :3, :3] = rotations_from_quaternions(rng.normal(size=(n**3, 4)))
     truth[:, :3, 3] = positions
-    return World(truth, some(rng, near(positions, 1.1, 1), 300), (0.02, 0.005), (2500.0, 40000.0))
+    return World(truth, some(rng, near(positions, 1.1, 1), 40), (0.02, 0.005), (2500.0, 40000.0))
 
 
 def sphere(rng: np.random.Generator) -> World:
-    """1000 poses wound up a sphere, 300 loops from one turn to the next."""
-    steps = np.arange(1000)
-    around, height = 2 * np.pi * steps / 50, np.linspace(-0.9, 0.9, 1000)
+    """120 poses wound up a sphere, 40 loops from one turn to the next."""
+    steps = np.arange(120)
+    around, height = 2 * np.pi * steps / 20, np.linspace(-0.9, 0.9, 120)
     across = np.sqrt(1 - height**2)
     normal = np.stack([across * np.cos(around), across * np.sin(around), height], axis=1)
-    turns = np.stack([steps[:-50], steps[50:]], axis=1)
-    return World(facing(10 * normal, normal), some(rng, turns, 300), (0.02, 0.005), (2500.0, 40000.0))
+    turns = np.stack([steps[:-20], steps[20:]], axis=1)
+    return World(facing(10 * normal, normal), some(rng, turns, 40), (0.02, 0.005), (2500.0, 40000.0))
 
 
 def measured(world: World, rng: np.random.Generator) -> PoseGraph:

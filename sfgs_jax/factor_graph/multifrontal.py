@@ -8,6 +8,9 @@ from jaxtyping import Array, Float, Int
 
 from sfgs_jax.factor_graph.nested_dissection import Batch, EliminationPlan
 
+STRIP = 48
+"""Poses in a strip of a front's boundary: wide enough for products to run at full speed."""
+
 
 class Front(eqx.Module):
     """Factorised columns of the nodes of one batch.
@@ -41,13 +44,22 @@ def multifrontal_cholesky(
         lower = lax.linalg.cholesky(own, symmetrize_input=False)
         boundary = lax.linalg.triangular_solve(lower, columns[:, 6 * o :], lower=True, transpose_a=True)
         factors.append(Front(lower, boundary))
-        i, j = np.tril_indices(b)
-        product = jnp.einsum("nis,njs->nij", boundary, boundary)
-        product = jnp.transpose(product.reshape(n, b, 6, b, 6), (0, 1, 3, 2, 4))[:, i, j]
-        start = corner + n * len(i)
-        update = blocks[corner:start] - product.reshape(-1, 36)
+        start = corner + n * (b * (b + 1) // 2)
+        update = blocks[corner:start] - _triangle_of_square(boundary, b).reshape(-1, 36)
         blocks = blocks.at[_handed_to(batch, end)].add(update)
     return tuple(factors)
+
+
+def _triangle_of_square(rows: Float[Array, "n t s"], b: int) -> Float[Array, "n u 6 6"]:
+    """Blocks of the lower triangle of rows rows^T, row by row, in strips that leave most of the upper out."""
+    parts = []
+    for low in range(0, b, STRIP):
+        high = min(low + STRIP, b)
+        i, j = np.tril_indices(high - low, low, high)
+        product = jnp.einsum("nis,njs->nij", rows[:, 6 * low : 6 * high], rows[:, : 6 * high])
+        product = product.reshape(len(rows), high - low, 6, high, 6)
+        parts.append(jnp.transpose(product, (0, 1, 3, 2, 4))[:, i, j])
+    return jnp.concatenate(parts, axis=1) if parts else jnp.zeros((len(rows), 0, 6, 6), rows.dtype)
 
 
 def _blocks(plan: EliminationPlan) -> int:

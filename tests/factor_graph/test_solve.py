@@ -17,6 +17,7 @@ from sfgs_jax.factor_graph import (
     Values,
     cost,
     marginal_covariances,
+    multifrontal,
     solve,
     solve_implicit,
 )
@@ -116,6 +117,16 @@ def test_a_long_graph_is_dissected_and_solved_and_grows_without_compiling(rng, c
     np.testing.assert_allclose(solution.cost, best.cost, rtol=1e-3)
     error = np.asarray(solution.values.poses.wxyz_xyz - truth.poses.wxyz_xyz)[:, 4:]
     assert np.sqrt(np.mean(error**2)) < 0.1
+
+
+def test_a_triangle_is_put_together_from_strips(rng, monkeypatch):
+    monkeypatch.setattr(multifrontal, "STRIP", 2)
+    rows = rng.normal(size=(3, 30, 12)).astype(np.float32)
+    whole = np.einsum("nis,njs->nij", rows, rows).reshape(3, 5, 6, 5, 6).transpose(0, 1, 3, 2, 4)
+    expected = whole[:, *np.tril_indices(5)]
+    np.testing.assert_allclose(
+        multifrontal._triangle_of_square(jnp.asarray(rows), 5), expected, rtol=1e-5, atol=1e-5
+    )
 
 
 def test_statistics_tell_what_happened(rng):
