@@ -69,7 +69,7 @@ class GicpConfig:
     edge_tolerance: float = 0.02
     """Share of the depth beyond which a window is taken to straddle a depth edge."""
 
-    strides: tuple[int, ...] = (2, 2, 1, 2)
+    strides: tuple[int, ...] = (2, 2, 1, 1)
     """Per level from the finest: every stride-th row and column of the source is aligned."""
 
     min_points: tuple[int, ...] = (4800, 1200, 300, 300)
