@@ -190,7 +190,8 @@ def false_loops() -> Table:
     table = Table(title="30 % of the loop closures false: error of the origins, over that with none")
     for column in ("world", "seed", "none, m", "no defence", "kernel", "kernel, check", "kept true, false"):
         table.add_column(column, justify="left" if column == "world" else "right")
-    robust = "dynamic_covariance_scaling"
+    robust: Kernel = "dynamic_covariance_scaling"
+    plain: Kernel = "none"
     for world in (pose_graphs.sphere, pose_graphs.lattice):
         capacities = None
         for seed in range(3):
@@ -205,10 +206,10 @@ def false_loops() -> Table:
             everything = np.ones(len(false), bool)
             errors = []
             for valid, kernel in (
-                (everything, "none"),
+                (everything, plain),
                 (everything, robust),
                 (kept, robust),
-                (~false, "none"),
+                (~false, plain),
             ):
                 graph = closed(file, loops, valid, kernel, capacities)
                 capacities = graph.capacities

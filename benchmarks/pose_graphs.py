@@ -53,9 +53,9 @@ def some(rng: np.random.Generator, pairs: np.ndarray, count: int) -> np.ndarray:
 
 def near(positions: np.ndarray, metres: float, apart: int) -> np.ndarray:
     """Pairs of poses near each other in space, but not in time."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    pairs = cKDTree(positions).query_pairs(metres, output_type="ndarray")
+    pairs = KDTree(positions).query_pairs(metres, output_type="ndarray")
     pairs = np.sort(pairs, axis=1)
     return pairs[pairs[:, 1] - pairs[:, 0] > apart]
 
