@@ -121,7 +121,7 @@ def _shapes(covariances: Float[Array, "M 3 3"], epsilon: float) -> Float[Array, 
     return ((1 - epsilon) * scaled + epsilon * unit).T
 
 
-def dot(a: Float[Array, "3 *N"], b: Float[Array, "3 *N"]) -> Float[Array, "*N"]:
+def dot(a: Float[Array, "3 ..."], b: Float[Array, "3 ..."]) -> Float[Array, "..."]:
     """Scalar products, written out: XLA does not vectorise a sum over three rows."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
