@@ -191,7 +191,6 @@ def false_loops() -> Table:
     for column in ("world", "seed", "none, m", "no defence", "kernel", "kernel, check", "kept true, false"):
         table.add_column(column, justify="left" if column == "world" else "right")
     robust: Kernel = "dynamic_covariance_scaling"
-    plain: Kernel = "none"
     for world in (pose_graphs.sphere, pose_graphs.lattice):
         capacities = None
         for seed in range(3):
@@ -205,12 +204,13 @@ def false_loops() -> Table:
             truth = (np.linalg.inv(made.truth[0]) @ made.truth)[:, :3, 3]
             everything = np.ones(len(false), bool)
             errors = []
-            for valid, kernel in (
-                (everything, plain),
+            trials: list[tuple[np.ndarray, Kernel]] = [
+                (everything, "none"),
                 (everything, robust),
                 (kept, robust),
-                (~false, plain),
-            ):
+                (~false, "none"),
+            ]
+            for valid, kernel in trials:
                 graph = closed(file, loops, valid, kernel, capacities)
                 capacities = graph.capacities
                 found = solve(graph, file.values, SolverConfig(max_iterations=100)).values
