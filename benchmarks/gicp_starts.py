@@ -1,15 +1,16 @@
 """How often registration succeeds from starts perturbed by up to 10 cm and 10 degrees, beside small_gicp.
 
-    python -m benchmarks.gicp_starts [word ...]
+    python -m benchmarks.gicp_starts [--first FRAME] [word ...]
 
-With words only the columns that contain one of them, such as depth, points or small_gicp.
+With words only the columns that contain one of them, such as depth, points or small_gicp. Every 40th frame
+from the first, 10 if not given: other frames have other starts too.
 RedKitchen depth images one frame apart, read below SFGS_DATA, else ../shared. A start is the given motion
 times a random one whose length and angle are those of its row. A success ends within 2 cm and 1 degree of the
 given motion; both allow for the poses given, which are good to about a centimetre.
 """
 
+import argparse
 import importlib.util
-import sys
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -21,7 +22,6 @@ from benchmarks.gicp import CAMERA, data_root, load, motion_error
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import align, prepare, prepare_points
 
-STARTS = range(10, 570, 40)
 TRIALS = 6
 PERTURBATIONS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0), (5.0, 10.0), (10.0, 10.0))
 
@@ -73,14 +73,19 @@ def perturbation(rng: np.random.Generator, centimetres: float, degrees: float) -
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description="Successes from perturbed starts.")
+    parser.add_argument("words", nargs="*", metavar="word")
+    parser.add_argument("--first", type=int, default=10)
+    arguments = parser.parse_args()
+    starts = range(arguments.first, 570, 40)
     folder = data_root() / "data" / "7scenes" / "redkitchen"
     builders = {"sfgs_jax depth images": organised, "sfgs_jax points": unorganised}
     if importlib.util.find_spec("small_gicp"):
         builders |= {f"small_gicp, {100 * d:.0f} cm": small_gicp(d) for d in (0.1, 0.3, 1.0)}
-    words = sys.argv[1:] or [""]
+    words = arguments.words or [""]
     builders = {name: b for name, b in builders.items() if any(word in name for word in words)}
     successes = {name: np.zeros(len(PERTURBATIONS)) for name in builders}
-    for start in STARTS:
+    for start in starts:
         (target, T_world_target), (source, T_world_source) = load(folder, start), load(folder, start + 1)
         given = np.linalg.inv(T_world_target) @ T_world_source
         for name, build in builders.items():
@@ -90,12 +95,12 @@ def main() -> None:
                     found = aligner(given @ perturbation(rng, centimetres, degrees))
                     error = motion_error(found.astype(np.float64), given)
                     successes[name][row] += error[0] < 2 and error[1] < 1
-    table = Table(title=f"Successes of {TRIALS * len(STARTS)} from perturbed starts, %")
+    table = Table(title=f"Successes of {TRIALS * len(starts)} from perturbed starts, %")
     table.add_column("start off by")
     for name in builders:
         table.add_column(name, justify="right")
     for row, (centimetres, degrees) in enumerate(PERTURBATIONS):
-        shares = [f"{100 * s[row] / (TRIALS * len(STARTS)):.0f}" for s in successes.values()]
+        shares = [f"{100 * s[row] / (TRIALS * len(starts)):.0f}" for s in successes.values()]
         table.add_row(f"{centimetres:.0f} cm, {degrees:.0f}°", *shares)
     Console(width=120).print(table)
 
