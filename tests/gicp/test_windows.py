@@ -1,0 +1,47 @@
+"""Which points of a depth image take part, and which points of the other image they meet."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.gicp import GicpConfig, prepare
+from sfgs_jax.gicp.correspondences import associate, samples_of, target_of
+from sfgs_jax.gicp.level import stride_of
+from tests.gicp.scenes import cast
+
+CAMERA = Camera(120.0, 120.0, 63.5, 47.5, width=128, height=96)
+CONFIG = replace(GicpConfig(), max_distance=(2.0,), min_normal_cosine=(0.0,))
+
+
+def test_a_window_finds_the_nearest_point_of_its_pixels():
+    level = prepare(cast(CAMERA), CAMERA, config=CONFIG).levels[0]
+    T = se3.exp(jnp.asarray([0.08, 0.02, 0.0, 0.0, 0.1, 0.02]))
+    source = samples_of(level, 4, CONFIG)
+    moved = np.asarray(se3.transform(T, source.points.T))
+    points = np.asarray(level.points).reshape(-1, 3)
+    surface = np.any(np.asarray(level.normals).reshape(-1, 3) != 0, axis=1)
+    u, v = np.meshgrid(np.arange(level.camera.width), np.arange(level.camera.height))
+    at = np.round(np.asarray(level.camera.project(jnp.asarray(moved))))
+    away = np.maximum(np.abs(u.reshape(-1) - at[:, :1]), np.abs(v.reshape(-1) - at[:, 1:]))
+    distance = np.linalg.norm(moved[:, None] - points, axis=2)
+    means = []
+    for radius in (0, 3):
+        config = replace(CONFIG, windows=(radius,))
+        pairs, index = associate(source, target_of(level, 0, config), T)
+        found = np.asarray(pairs.found)
+        assert found.mean() > 0.4
+        expected = np.where((away <= radius) & surface, distance, np.inf).min(axis=1)
+        got = distance[np.arange(len(moved)), np.asarray(index)]
+        np.testing.assert_allclose(got[found], expected[found], rtol=1e-5)
+        means.append(got[found].mean())
+    assert means[1] < 0.8 * means[0]
+
+
+@pytest.mark.parametrize(("width", "height", "stride"), [(640, 480, 2), (320, 240, 2), (160, 120, 1)])
+def test_small_images_keep_all_their_pixels(width, height, stride):
+    camera = Camera(width, width, width / 2, height / 2, width=width, height=height)
+    level = prepare(np.full((height, width), 2.0, np.float32), camera).levels[0]
+    assert stride_of(level, 0, GicpConfig()) == stride
