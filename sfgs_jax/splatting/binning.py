@@ -2,7 +2,7 @@
 
 A Gaussian reaches as far as its contribution is at least 1/255: an ellipse. Its tiles are found exactly,
 in two expansions: into the rows of tiles it crosses, then in each row into the tiles between its leftmost
-and rightmost point there. The (tile, Gaussian) pairs, made in depth order, are sorted by tile.
+and rightmost point there. The (tile, Gaussian) pairs are sorted by tile and depth.
 """
 
 import math
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from sfgs_jax.splatting.projection import MIN_ALPHA, Projected
-from sfgs_jax.splatting.sorting import depth_order, sort_by_key
+from sfgs_jax.splatting.sorting import sort_by_tile_and_depth
 
 _SLACK = 1e-4
 """Added to the ellipse's squared radius (of 0 to 11), so that rounding drops no tile that is needed."""
@@ -25,7 +25,7 @@ class TileLists(eqx.Module):
         gaussians: (P,) indices of the Gaussians in the lists of all tiles, one list after the other.
         starts: (T,) where in `gaussians` each tile's list begins.
         counts: (T,) how long it is.
-        overflow: pairs that found no room; those of the farthest Gaussians.
+        overflow: pairs that found no room; those of the last Gaussians.
     """
 
     gaussians: Int[Array, " p"]
@@ -50,17 +50,21 @@ def bin_into_tiles(
     """Lists of the Gaussians that reach each tile."""
     columns, rows = tile_grid(width, height, tile_size)
     tiles = columns * rows
-    order = depth_order(projected.depths, projected.visible)
-    spans, row_overflow = _row_spans(projected, order, columns, rows, tile_size, pair_capacity)
+    spans, row_overflow = _row_spans(projected, columns, rows, tile_size, pair_capacity)
 
     entry, offset, pair_overflow = _expand(spans.counts, pair_capacity)
     tile = spans.first_tiles[entry] + offset
     tile = jnp.where(offset >= 0, tile, tiles)
-    # A Gaussian is in a tile's list once, so ranks in depth put the list in order.
-    ranks = sort_by_key(tile.astype(jnp.uint32), spans.ranks[entry])
+    gaussian = spans.gaussians[entry]
     counts = jnp.zeros(tiles, jnp.int32).at[tile].add(1, mode="drop")
     return TileLists(
-        gaussians=order[ranks],
+        gaussians=sort_by_tile_and_depth(
+            tile,
+            projected.depths[gaussian],
+            gaussian,
+            tile_count=tiles,
+            gaussian_count=projected.visible.shape[0],
+        ),
         starts=jnp.cumsum(counts) - counts,
         counts=counts,
         overflow=row_overflow + pair_overflow,
@@ -69,7 +73,7 @@ def bin_into_tiles(
 
 def count_rows(projected: Projected, *, height: int, tile_size: int) -> Int[Array, ""]:
     """Number of (row of tiles, Gaussian) pairs."""
-    ellipses = _Ellipses.of(projected, jnp.arange(projected.visible.shape[0]))
+    ellipses = _Ellipses.of(projected)
     return jnp.sum(ellipses.tile_rows(tile_grid(1, height, tile_size)[1], tile_size)[1])
 
 
@@ -78,29 +82,28 @@ def count_pairs(
 ) -> Int[Array, ""]:
     """Number of (tile, Gaussian) pairs; `row_capacity` must not be below `count_rows`."""
     columns, rows = tile_grid(width, height, tile_size)
-    order = jnp.arange(projected.visible.shape[0])
-    return jnp.sum(_row_spans(projected, order, columns, rows, tile_size, row_capacity)[0].counts)
+    return jnp.sum(_row_spans(projected, columns, rows, tile_size, row_capacity)[0].counts)
 
 
 class _RowSpans(eqx.Module):
     """Stretches of adjacent tiles in one row that one Gaussian reaches."""
 
-    ranks: Array  # places of the Gaussians in `order`
+    gaussians: Array
     first_tiles: Array
     counts: Array
 
 
 def _row_spans(
-    projected: Projected, order: Array, columns: int, rows: int, tile_size: int, capacity: int
+    projected: Projected, columns: int, rows: int, tile_size: int, capacity: int
 ) -> tuple[_RowSpans, Array]:
-    """The spans of the Gaussians in `order`, and how many found no room."""
-    ellipses = _Ellipses.of(projected, order)
+    """The spans of all Gaussians, and how many found no room."""
+    ellipses = _Ellipses.of(projected)
     first_row, row_counts = ellipses.tile_rows(rows, tile_size)
     owner, offset, overflow = _expand(row_counts, capacity)
     row = first_row[owner] + offset
     first_column, counts = ellipses.at(owner).tile_columns(row, columns, tile_size)
     spans = _RowSpans(
-        ranks=owner,
+        gaussians=owner,
         first_tiles=row * columns + first_column,
         counts=jnp.where(offset >= 0, counts, 0),
     )
@@ -118,11 +121,11 @@ class _Ellipses(eqx.Module):
     reach: Array  # negative where nothing is drawn
 
     @staticmethod
-    def of(projected: Projected, order: Array) -> "_Ellipses":
+    def of(projected: Projected) -> "_Ellipses":
         reach = 2 * (projected.log_opacities - math.log(MIN_ALPHA)) + _SLACK
         reach = jnp.where(projected.visible, reach, -1)
-        table = jnp.concatenate([projected.centres, projected.whitening, reach[:, None]], axis=1)[order]
-        return _Ellipses(*(table[:, i] for i in range(6)))
+        columns = [*projected.centres.T, *projected.whitening.T, reach]
+        return _Ellipses(*columns)
 
     def at(self, index: Array) -> "_Ellipses":
         table = jnp.stack([self.u, self.v, self.p, self.q, self.r, self.reach], axis=1)[index]
