@@ -9,6 +9,7 @@ from sfgs_jax.factor_graph import (
     FactorGraph,
     PoseGraph,
     RelativePose,
+    Values,
     consistent_loops,
     cost,
     odometry_start,
@@ -18,8 +19,9 @@ from sfgs_jax.factor_graph import (
     within_threshold,
     write_g2o,
 )
-from sfgs_jax.geometry import InputError
-from tests.factor_graph.graphs import compose, eye, inverse, random_poses, ring
+from sfgs_jax.geometry import InputError, se3
+from sfgs_jax.geometry.rotations import quaternions_from_rotations
+from tests.factor_graph.graphs import compose, exp, eye, inverse, random_poses, ring
 
 NOISE = 0.01
 
@@ -38,6 +40,11 @@ def corrupted(rng):
     return prior, odometry, (ends, jaxlie.SE3(jnp.asarray(measured))), false, start, truth
 
 
+def motions_of(matrices) -> jaxlie.SE3:
+    wxyz = quaternions_from_rotations(matrices[:, :3, :3])
+    return jaxlie.SE3(jnp.asarray(np.concatenate([wxyz, matrices[:, :3, 3]], axis=1), jnp.float32))
+
+
 def error(values, truth) -> float:
     offset = np.asarray(values.poses.wxyz_xyz - truth.poses.wxyz_xyz)[:, 4:]
     return float(np.sqrt(np.mean(np.sum(offset**2, axis=1))))
@@ -54,7 +61,7 @@ def test_thirty_percent_of_false_loops_hardly_matter(corrupted):
     naive = error(solved(prior, odometry, closures, start), truth)
     assert naive > 3 * without
     loops = RelativePose(*closures, eye(1e4, 1e4))
-    kept = consistent_loops(loops, start, metres=0.2, radians=0.08, drift_metres=0.05, drift_radians=0.02)
+    kept = consistent_loops(loops, start)
     np.testing.assert_array_equal(kept, ~false)
     robust = solved(
         prior,
@@ -67,6 +74,34 @@ def test_thirty_percent_of_false_loops_hardly_matter(corrupted):
     )
     assert error(robust, truth) < 1.1 * without
     np.testing.assert_array_equal(within_threshold(loops, robust, max_square=30.0), ~false)
+
+
+@pytest.mark.parametrize("ends", [[[0, 29], [4, 20]], [[3, 12], [27, 15]], [[2, 18], [11, 25]]])
+def test_true_loops_disagree_as_seldom_as_chance_has_it(rng, ends):
+    """Nested, one after the other, and overlapping; the odometry drifts by much more than a loop is off."""
+    steps = random_poses(rng, 29, 0.3)
+    sigma = np.repeat([0.03, 0.02], 3)
+    matrices = jnp.asarray(np.diag(sigma**-2.0))
+
+    def chain(steps):
+        poses = [np.eye(4)]
+        for step in se3.to_matrices(steps):
+            poses.append(poses[-1] @ step)
+        return np.array(poses)
+
+    def noisy(motions):
+        noise = rng.normal(size=(len(motions.wxyz_xyz), 6)) * sigma
+        return compose(motions, exp(jnp.asarray(noise, jnp.float32)))
+
+    a, b = chain(steps)[np.array(ends)].swapaxes(0, 1)
+    measured = motions_of(np.linalg.inv(a) @ b)
+    agreed = []
+    for _ in range(200):
+        loops = RelativePose(ends, noisy(measured), matrices)
+        odometry = Values(motions_of(chain(noisy(steps))))
+        # Half of all true pairs lie below the median of chi-square with 6 degrees of freedom.
+        agreed.append(consistent_loops(loops, odometry, max_square=5.348).all())
+    assert 0.4 < np.mean(agreed) < 0.6
 
 
 def test_the_kernel_alone_keeps_false_loops_out_too(corrupted):
