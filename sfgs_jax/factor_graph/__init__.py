@@ -1,6 +1,7 @@
 """Factor graphs: poses and landmarks from measurements of all kinds at once."""
 
 from sfgs_jax.factor_graph.capacities import Capacities as Capacities
+from sfgs_jax.factor_graph.chordal import chordal_start as chordal_start
 from sfgs_jax.factor_graph.config import SolverConfig as SolverConfig
 from sfgs_jax.factor_graph.consistency import consistent_loops as consistent_loops
 from sfgs_jax.factor_graph.consistency import within_threshold as within_threshold

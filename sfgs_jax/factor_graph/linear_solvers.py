@@ -11,7 +11,7 @@ from sfgs_jax.factor_graph.graph import FactorGraph
 from sfgs_jax.factor_graph.multifrontal import multifrontal_cholesky, multifrontal_solve
 from sfgs_jax.factor_graph.normal_equations import Reduced
 
-Solve = Callable[[Float[Array, "P 6"]], Float[Array, "P 6"]]
+Solve = Callable[[Float[Array, "P d"]], Float[Array, "P d"]]
 _PcgState = tuple[Array, Array, Array, Float[Array, ""], Int[Array, ""]]
 
 
@@ -49,33 +49,33 @@ def prepare_solve(
 
 
 def dense_matrix(graph: FactorGraph, system: Reduced) -> Float[Array, "n n"]:
-    """The symmetric 6 P x 6 P matrix of a system."""
-    s, P = graph.structure, graph.num_poses
+    """The symmetric d P x d P matrix of a system."""
+    s, P, d = graph.structure, graph.num_poses, system.diagonal.shape[1]
     rows, columns = jnp.asarray(s.rows), jnp.asarray(s.columns)
-    blocks = jnp.zeros((P * P + 1, 36), system.diagonal.dtype)
+    blocks = jnp.zeros((P * P + 1, d * d), system.diagonal.dtype)
     poses = jnp.arange(P) * (P + 1)
-    blocks = blocks.at[poses].set(system.diagonal.reshape(-1, 36))
+    blocks = blocks.at[poses].set(system.diagonal.reshape(-1, d * d))
     used = rows < P
     lower = jnp.where(used, columns * P + rows, P * P)
-    blocks = blocks.at[lower].set(jnp.swapaxes(system.off_diagonal, 1, 2).reshape(-1, 36))
+    blocks = blocks.at[lower].set(jnp.swapaxes(system.off_diagonal, 1, 2).reshape(-1, d * d))
     upper = jnp.where(used, rows * P + columns, P * P)
-    blocks = blocks.at[upper].set(system.off_diagonal.reshape(-1, 36))
-    return jnp.transpose(blocks[:-1].reshape(P, P, 6, 6), (0, 2, 1, 3)).reshape(6 * P, 6 * P)
+    blocks = blocks.at[upper].set(system.off_diagonal.reshape(-1, d * d))
+    return jnp.transpose(blocks[:-1].reshape(P, P, d, d), (0, 2, 1, 3)).reshape(d * P, d * P)
 
 
 def _dense(graph: FactorGraph, system: Reduced) -> Solve:
     lower = lax.linalg.cholesky(dense_matrix(graph, system), symmetrize_input=False)
 
-    def solve(right: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
+    def solve(right: Float[Array, "P d"]) -> Float[Array, "P d"]:
         column = right.reshape(-1, 1)
         half = lax.linalg.triangular_solve(lower, column, left_side=True, lower=True)
         whole = lax.linalg.triangular_solve(lower, half, left_side=True, lower=True, transpose_a=True)
-        return whole.reshape(-1, 6)
+        return whole.reshape(right.shape)
 
     return solve
 
 
-def multiply(graph: FactorGraph, system: Reduced, vector: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
+def multiply(graph: FactorGraph, system: Reduced, vector: Float[Array, "P d"]) -> Float[Array, "P d"]:
     """The system's matrix times a vector."""
     s, P = graph.structure, graph.num_poses
     rows, columns = jnp.asarray(s.rows), jnp.asarray(s.columns)
@@ -83,20 +83,20 @@ def multiply(graph: FactorGraph, system: Reduced, vector: Float[Array, "P 6"]) -
     right = jnp.sum(system.off_diagonal * padded[columns][:, None], axis=2)
     left = jnp.sum(system.off_diagonal * padded[rows][:, :, None], axis=1)
     product = jnp.sum(system.diagonal * vector[:, None], axis=2)
-    sums = jnp.zeros((P + 1, 6), vector.dtype).at[rows].add(right).at[columns].add(left)
+    sums = jnp.zeros_like(padded).at[rows].add(right).at[columns].add(left)
     return product + sums[:P]
 
 
 def _pcg(graph: FactorGraph, system: Reduced, tolerance: float, max_iterations: int) -> Solve:
     inverse = jnp.linalg.inv(system.diagonal)
 
-    def precondition(vector: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
+    def precondition(vector: Float[Array, "P d"]) -> Float[Array, "P d"]:
         return jnp.sum(inverse * vector[:, None], axis=2)
 
     def dot(a: Array, b: Array) -> Array:
         return jnp.sum(a * b)
 
-    def solve(right: Float[Array, "P 6"]) -> Float[Array, "P 6"]:
+    def solve(right: Float[Array, "P d"]) -> Float[Array, "P d"]:
         start = precondition(right)
         target = tolerance**2 * dot(right, start)
 

@@ -15,7 +15,7 @@ import equinox as eqx
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Array, Bool, Int
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra, maximum_bipartite_matching
 
 from sfgs_jax.factor_graph.capacities import BatchSize, capacity_for
 
@@ -155,16 +155,40 @@ def _split(adjacency: sparse.csr_array) -> tuple[np.ndarray, list[np.ndarray]]:
     """
     count = len(adjacency.indptr) - 1
     rank = np.argsort(np.argsort(_from_end_to_end(adjacency), kind="stable"), kind="stable")
-    best, least = (np.zeros(count, bool), [np.zeros(count, bool)] * 2), np.inf
+    best, least = rank < 0, np.inf
     for size in np.unique(np.linspace(LEAST_SHARE * count, (1 - LEAST_SHARE) * count, CUTS).astype(int)):
         first = rank < size
         for side in (first, ~first):
-            separator = side & ((adjacency @ (~side).astype(np.int8)) > 0)
-            parts = [first & ~separator, ~first & ~separator]
-            badness = separator.sum() + IMBALANCE * abs(int(parts[0].sum()) - int(parts[1].sum()))
+            ends = int((side & ((adjacency @ (~side).astype(np.int8)) > 0)).sum())
+            badness = ends + IMBALANCE * abs(count - 2 * int(side.sum()) + ends)
             if badness < least:
-                best, least = (separator, parts), badness
-    return best
+                best, least = first, badness
+    separator = _fewest_ends(adjacency, best)
+    return separator, [best & ~separator, ~best & ~separator]
+
+
+def _fewest_ends(adjacency: sparse.csr_array, first: np.ndarray) -> np.ndarray:
+    """Fewest vertices that all edges between the first ones and the others end in.
+
+    By König's theorem as many as a largest matching of these edges has: those of the first that no
+    alternating path from an unmatched one of them reaches, and those of the others that one does.
+    """
+    left, right = np.flatnonzero(first), np.flatnonzero(~first)
+    across = adjacency[left][:, right]
+    match = maximum_bipartite_matching(across, perm_type="column")
+    matched = match >= 0
+    reached, found = np.zeros(len(right), bool), ~matched
+    frontier = found.copy()
+    while frontier.any():
+        new = ((frontier.astype(np.int32) @ across) > 0) & ~reached
+        reached |= new
+        frontier = np.zeros(len(left), bool)
+        frontier[matched] = new[match[matched]]
+        frontier &= ~found
+        found |= frontier
+    separator = np.zeros(len(first), bool)
+    separator[left[~found & matched]], separator[right[reached]] = True, True
+    return separator
 
 
 def _from_end_to_end(adjacency: sparse.csr_array) -> np.ndarray:

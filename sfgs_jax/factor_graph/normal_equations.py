@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sfgs_jax.factor_graph.factor import Terms
 from sfgs_jax.factor_graph.graph import FactorGraph
 from sfgs_jax.factor_graph.structure import CLUSTER_LANDMARKS
 from sfgs_jax.factor_graph.values import Values
@@ -36,17 +35,17 @@ class NormalEquations(eqx.Module):
 
 
 class Reduced(eqx.Module):
-    """Normal equations of the poses alone, damped.
+    """Equations of the poses alone, damped; d is 6 unless only a part of each pose is solved for.
 
     Attributes:
-        diagonal: (P, 6, 6).
-        off_diagonal: (B, 6, 6).
-        right: (P, 6), the negative reduced gradient.
+        diagonal: (P, d, d).
+        off_diagonal: (B, d, d).
+        right: (P, d), the negative reduced gradient.
     """
 
-    diagonal: Float[Array, "P 6 6"]
-    off_diagonal: Float[Array, "B 6 6"]
-    right: Float[Array, "P 6"]
+    diagonal: Float[Array, "P d d"]
+    off_diagonal: Float[Array, "B d d"]
+    right: Float[Array, "P d"]
 
 
 class Eliminated(eqx.Module):
@@ -69,7 +68,7 @@ def linearise(graph: FactorGraph, values: Values) -> NormalEquations:
     P, B = graph.num_poses, s.rows.shape[0]
     C, w = s.cluster_poses.shape
     m = CLUSTER_LANDMARKS
-    blocks = jnp.zeros((P + B + 1, 36), dtype)
+    blocks = jnp.zeros((P + B + 1, 6, 6), dtype)
     gradient = jnp.zeros((P, 6), dtype)
     landmarks = jnp.zeros((C * m + 1, 12), dtype)
     cross = jnp.zeros((C * m * w + 1, 18), dtype)
@@ -77,7 +76,9 @@ def linearise(graph: FactorGraph, values: Values) -> NormalEquations:
     for i, factor in enumerate(graph.factors):
         terms = factor.terms(values)
         losses.append(terms.losses)
-        blocks, gradient = _add_poses(graph, i, terms, blocks, gradient)
+        M, k = s.groups[i].shape
+        blocks = add_pose_blocks(graph, i, terms.pose_hessian.reshape(M, k, 6, k, 6), blocks)
+        gradient = add_pose_rows(graph, i, terms.pose_gradient.reshape(M, k, 6), gradient)
         landmark_slots, cross_slots = s.landmark_slots[i], s.cross_slots[i]
         if landmark_slots is not None and cross_slots is not None:
             assert terms.landmark_hessian is not None
@@ -87,13 +88,8 @@ def linearise(graph: FactorGraph, values: Values) -> NormalEquations:
             landmarks = landmarks.at[jnp.asarray(landmark_slots)].add(jnp.concatenate(flat, axis=1))
             cross = cross.at[jnp.asarray(cross_slots).reshape(-1)].add(terms.cross.reshape(-1, 18))
 
-    free = jnp.asarray(graph.free_poses)
-    diagonal = blocks[:P].reshape(-1, 6, 6)
-    known = free & jnp.any(jnp.diagonal(diagonal, axis1=1, axis2=2) > 0, axis=1)
-    diagonal = jnp.where(known[:, None, None], diagonal, jnp.eye(6, dtype=dtype))
+    diagonal, off_diagonal, known = hold_fixed(graph, blocks)
     known_or_none = jnp.append(known, False)
-    both = known_or_none[jnp.asarray(s.rows)] & known_or_none[jnp.asarray(s.columns)]
-    off_diagonal = jnp.where(both[:, None, None], blocks[P : P + B].reshape(-1, 6, 6), 0)
 
     free_landmark = jnp.append(jnp.asarray(graph.free_landmarks), False)[jnp.asarray(s.cluster_landmarks)]
     point = landmarks[:-1].reshape(C, m, 12)
@@ -113,29 +109,46 @@ def linearise(graph: FactorGraph, values: Values) -> NormalEquations:
         jnp.where(solved[..., None], point[..., 9:], 0),
         jnp.where(coupled[..., None, None], cross[:-1].reshape(C, m, w, 3, 6), 0),
         tuple(losses),
-        jnp.any(free & ~known) | (count_solved < wanted),
+        jnp.any(jnp.asarray(graph.free_poses) & ~known) | (count_solved < wanted),
     )
 
 
-def _add_poses(
-    graph: FactorGraph,
-    i: int,
-    terms: Terms,
-    blocks: Float[Array, "S 36"],
-    gradient: Float[Array, "P 6"],
-) -> tuple[Float[Array, "S 36"], Float[Array, "P 6"]]:
-    """Sums with the pose blocks of the i-th factor block."""
-    slots, groups = jnp.asarray(graph.structure.pose_slots[i]), jnp.asarray(graph.structure.groups[i])
-    k = slots.shape[1]
-    if k == 0:
-        return blocks, gradient
-    hessian = terms.pose_hessian.reshape(-1, k, 6, k, 6)
+def add_pose_blocks(
+    graph: FactorGraph, i: int, hessian: Float[Array, "M k d k d"], blocks: Float[Array, "S d d"]
+) -> Float[Array, "S d d"]:
+    """Sums with what the groups of the i-th factor block add to the pose-pose blocks."""
+    slots = jnp.asarray(graph.structure.pose_slots[i])
+    k, d = slots.shape[1], blocks.shape[1]
+    flat = blocks.reshape(-1, d * d)
     for a in range(k):
         for b in range(k):
-            blocks = blocks.at[slots[:, a, b]].add(hessian[:, a, :, b].reshape(-1, 36))
-    padded = jnp.concatenate([gradient, jnp.zeros_like(gradient[:1])])
-    sums = padded.at[groups.reshape(-1)].add(terms.pose_gradient.reshape(-1, 6))
-    return blocks, sums[:-1]
+            flat = flat.at[slots[:, a, b]].add(hessian[:, a, :, b].reshape(len(slots), d * d))
+    return flat.reshape(blocks.shape)
+
+
+def add_pose_rows(
+    graph: FactorGraph, i: int, rows: Float[Array, "M k ..."], sums: Float[Array, "P ..."]
+) -> Float[Array, "P ..."]:
+    """Sums with what the groups of the i-th factor block add to each pose."""
+    groups = jnp.asarray(graph.structure.groups[i]).reshape(-1)
+    padded = jnp.concatenate([sums, jnp.zeros_like(sums[:1])])
+    return padded.at[groups].add(rows.reshape(len(groups), *sums.shape[1:]))[:-1]
+
+
+def hold_fixed(
+    graph: FactorGraph, blocks: Float[Array, "S d d"]
+) -> tuple[Float[Array, "P d d"], Float[Array, "B d d"], Bool[Array, " P"]]:
+    """Blocks on and off the diagonal of the poses to solve for, and which these are.
+
+    Poses that are fixed or that no factor touches have the identity, and nothing beside it.
+    """
+    s, P = graph.structure, graph.num_poses
+    diagonal = blocks[:P]
+    known = jnp.asarray(graph.free_poses) & jnp.any(jnp.diagonal(diagonal, axis1=1, axis2=2) > 0, axis=1)
+    diagonal = jnp.where(known[:, None, None], diagonal, jnp.eye(blocks.shape[1], dtype=blocks.dtype))
+    known_or_none = jnp.append(known, False)
+    both = known_or_none[jnp.asarray(s.rows)] & known_or_none[jnp.asarray(s.columns)]
+    return diagonal, jnp.where(both[:, None, None], blocks[P:-1], 0), known
 
 
 def reduce(
@@ -147,7 +160,7 @@ def reduce(
     not positive definite (it is then made so).
     """
     s = graph.structure
-    damped = _damp(equations.landmark_hessian, damping)
+    damped = damp(equations.landmark_hessian, damping)
     factor, deficient = _cholesky3(damped)
     C, m, w = equations.cross.shape[:3]
     forward = _forward(factor, jnp.moveaxis(equations.cross, 3, 0))
@@ -156,7 +169,7 @@ def reduce(
     right = right.reshape(C, m * 3)
     eliminated = Eliminated(factor, rows, right)
     diagonal, off_diagonal, reduced_right = (
-        _damp(equations.diagonal, damping),
+        damp(equations.diagonal, damping),
         equations.off_diagonal,
         -equations.gradient,
     )
@@ -188,7 +201,7 @@ def landmark_steps(
     return jnp.zeros((L + 1, 3), steps.dtype).at[places].set(steps)[:L]
 
 
-def _damp(blocks: Float[Array, "*b n n"], damping: Float[Array, ""]) -> Float[Array, "*b n n"]:
+def damp(blocks: Float[Array, "*b n n"], damping: Float[Array, ""]) -> Float[Array, "*b n n"]:
     """Blocks with (1 + damping) times their diagonal."""
     n = blocks.shape[-1]
     return blocks * (1 + damping * jnp.eye(n, dtype=blocks.dtype))

@@ -86,13 +86,18 @@ def solve(graph: FactorGraph, values: Values, config: SolverConfig | None = None
     Raises:
         InputError: numbers of poses or landmarks that don't match the graph's.
     """
+    check_sizes(graph, values)
+    return _solve(graph, values, SolverConfig() if config is None else config)
+
+
+def check_sizes(graph: FactorGraph, values: Values) -> None:
+    """Refuse values with other numbers of poses or landmarks than the graph's."""
     given = values.poses.wxyz_xyz.shape[-2], values.landmarks.shape[-2]
     if given != (graph.num_poses, graph.num_landmarks):
         raise InputError(
             f"The values hold {given[0]} poses and {given[1]} landmarks, the graph "
             f"{graph.num_poses} and {graph.num_landmarks}."
         )
-    return _solve(graph, values, SolverConfig() if config is None else config)
 
 
 def cost(graph: FactorGraph, values: Values) -> Float[Array, ""]:

@@ -125,7 +125,7 @@ def test_a_triangle_is_put_together_from_strips(rng, monkeypatch):
     whole = np.einsum("nis,njs->nij", rows, rows).reshape(3, 5, 6, 5, 6).transpose(0, 1, 3, 2, 4)
     expected = whole[:, *np.tril_indices(5)]
     np.testing.assert_allclose(
-        multifrontal._triangle_of_square(jnp.asarray(rows), 5), expected, rtol=1e-5, atol=1e-5
+        multifrontal._triangle_of_square(jnp.asarray(rows), 5, 6), expected, rtol=1e-5, atol=1e-5
     )
 
 
