@@ -98,12 +98,22 @@ def lattice(rng: np.random.Generator) -> World:
 
 def sphere(rng: np.random.Generator) -> World:
     """120 poses wound up a sphere, 40 loops from one turn to the next."""
-    steps = np.arange(120)
-    around, height = 2 * np.pi * steps / 20, np.linspace(-0.9, 0.9, 120)
+    return _wound_up(rng, 120, 20, 40)
+
+
+def large_sphere(rng: np.random.Generator) -> World:
+    """1000 poses wound up a sphere, 300 loops."""
+    return _wound_up(rng, 1000, 40, 300)
+
+
+def _wound_up(rng: np.random.Generator, count: int, turn: int, loops: int) -> World:
+    steps = np.arange(count)
+    around, height = 2 * np.pi * steps / turn, np.linspace(-0.9, 0.9, count)
     across = np.sqrt(1 - height**2)
     normal = np.stack([across * np.cos(around), across * np.sin(around), height], axis=1)
-    turns = np.stack([steps[:-20], steps[20:]], axis=1)
-    return World(facing(10 * normal, normal), some(rng, turns, 40), (0.02, 0.005), (2500.0, 40000.0))
+    turns = np.stack([steps[:-turn], steps[turn:]], axis=1)
+    truth = facing(10 * normal, normal)
+    return World(truth, some(rng, turns, loops), (0.02, 0.005), (2500.0, 40000.0))
 
 
 def measured(world: World, rng: np.random.Generator) -> PoseGraph:
