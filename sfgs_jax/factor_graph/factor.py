@@ -119,6 +119,8 @@ class Factor(eqx.Module):
 
     def clean_measurements(self) -> Any:
         """Measurements whose masked rows hold a copy of a valid one."""
+        if not len(self.valid):
+            return self.measurements()
         valid = jnp.asarray(self.valid)
         first = jnp.argmax(valid)
 
@@ -130,7 +132,7 @@ class Factor(eqx.Module):
                 usable = jnp.where(valid[first], usable, jnp.ones_like(usable))
             return jnp.where(mask, rows, usable)
 
-        return jax.tree.map(clean, self.measurements()) if len(self.valid) else self.measurements()
+        return jax.tree.map(clean, self.measurements())
 
     def gather(self, values: Values) -> tuple[jaxlie.SE3, Float[Array, "N 3"] | None]:
         """Poses (N, k) and landmarks of every row."""

@@ -49,7 +49,8 @@ def read_g2o(path: Path | str) -> PoseGraph:
     ends: list[tuple[int, int]] = []
     edges: list[list[float]] = []
     fixed: set[int] = set()
-    with open(path) as file:
+    # Bytes that are no text end in a line of an unknown kind.
+    with open(path, encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, start=1):
             tag, *words = line.split("#")[0].split() or [""]
             where = f"line {number} of {path}"
@@ -72,9 +73,11 @@ def read_g2o(path: Path | str) -> PoseGraph:
                 raise InputError(f"Cannot read {where}: {tag} needs other numbers than it has.") from None
     touched = {v for pair in ends for v in pair}
     vertices = np.array(sorted(poses or touched), np.int64)
+    if not len(vertices):
+        raise InputError(f"{path} holds no poses: it has neither a {_VERTEX} nor an {_EDGE} line.")
     unknown = (touched | fixed).difference(vertices.tolist())
-    if unknown or not len(vertices):
-        raise InputError(f"{path} has no {_VERTEX} line for vertex {min(unknown, default=0)}.")
+    if unknown:
+        raise InputError(f"{path} has no {_VERTEX} line for vertex {min(unknown)}.")
     rows = np.asarray(edges, np.float64).reshape(-1, 28)
     information = np.zeros((len(rows), 6, 6))
     information[:, _UPPER[0], _UPPER[1]] = rows[:, 7:]

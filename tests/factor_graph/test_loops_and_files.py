@@ -9,6 +9,7 @@ from sfgs_jax.factor_graph import (
     FactorGraph,
     PoseGraph,
     RelativePose,
+    Status,
     Values,
     consistent_loops,
     cost,
@@ -134,6 +135,8 @@ def test_g2o_files_come_back(tmp_path, rng):
     ("line", "message"),
     [
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1", "line 2 .* EDGE_SE2 is not one of"),
+        ("VERTEX_SE2 1 0 0 0", "line 2 .* VERTEX_SE2 is not one of .* 3-D poses"),
+        ("\x00\xff\xfe", "line 2 .* is not one of"),
         ("EDGE_SE3:QUAT 0 1 1 0 0", "line 2 .* needs other numbers"),
         ("FIX 7", "no VERTEX_SE3:QUAT line for vertex 7"),
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1", "line 2 .* there already"),
@@ -142,7 +145,7 @@ def test_g2o_files_come_back(tmp_path, rng):
 )
 def test_other_g2o_lines_are_refused_with_their_place(tmp_path, line, message):
     path = tmp_path / "b.g2o"
-    path.write_text(f"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n{line}\n")
+    path.write_bytes(f"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n{line}\n".encode("latin1"))
     with pytest.raises(InputError, match=message):
         read_g2o(path)
 
@@ -181,3 +184,26 @@ def test_g2o_files_may_have_edges_alone_gaps_and_rounded_quaternions(tmp_path):
     np.testing.assert_allclose(
         read.values.poses.wxyz_xyz[:, 4:], [[0, 0, 0], [1, 0, 0], [1, 1, 0]], atol=1e-6
     )
+
+
+def test_g2o_lines_come_in_any_order_with_comments_tabs_and_line_ends(tmp_path):
+    path = tmp_path / "d.g2o"
+    weight = " ".join(["1"] + ["0"] * 20)
+    path.write_bytes(
+        f"# made by hand\r\nEDGE_SE3:QUAT\t12  -3 1e0 0 0 0 0 0 1 {weight}\r\nFIX 12\r\n\r\n"
+        "VERTEX_SE3:QUAT 12 0 0 0 0 0 0 1\r\nVERTEX_SE3:QUAT -3 1.5 0 0 0 0 0 1 # end".encode()
+    )
+    read = read_g2o(path)
+    np.testing.assert_array_equal(read.vertices, [-3, 12])
+    np.testing.assert_array_equal(read.fixed, [False, True])
+    np.testing.assert_array_equal(read.edges.poses, [[1, 0]])
+    np.testing.assert_allclose(read.values.poses.wxyz_xyz[:, 4], [1.5, 0])
+
+    # Poses alone make a graph without factors, which determine nothing.
+    path.write_text("VERTEX_SE3:QUAT 5 0 0 0 0 0 0 1\n")
+    alone = read_g2o(path)
+    solution = solve(FactorGraph([alone.edges], num_poses=1), alone.values)
+    assert solution.status == Status.SINGULAR
+    path.write_text("")
+    with pytest.raises(InputError, match="holds no poses"):
+        read_g2o(path)

@@ -234,6 +234,38 @@ def test_a_landmark_seen_once_goes_to_its_ray(rng):
     assert finite(undamped.values)
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_landmark_behind_the_cameras_stays_and_spoils_nothing(rng, solver):
+    graph, start, _ = bundle(rng, linear_solver=solver)
+    behind = Values(start.poses, start.landmarks.at[3, 2].set(-2.0))
+    solution = solve(graph, behind)
+    assert solution.status == Status.SINGULAR
+    np.testing.assert_array_equal(solution.values.landmarks[3], behind.landmarks[3])
+    # The others end where they do without it.
+    prior, chain, seen = graph.factors
+    without = Reprojection(
+        seen.poses[:, 0], seen.landmarks, seen.pixels, CAMERA, valid=np.asarray(seen.landmarks) != 3
+    )
+    fewer = FactorGraph([prior, chain, without], num_poses=6, num_landmarks=40, linear_solver=solver)
+    expected = solve(fewer, behind).values
+    np.testing.assert_allclose(solution.values.poses.wxyz_xyz, expected.poses.wxyz_xyz, atol=2e-3)
+    np.testing.assert_allclose(solution.values.landmarks, expected.landmarks, atol=1e-2)
+
+
+def test_nothing_moves_where_all_is_fixed_and_blocks_may_be_empty(rng):
+    graph, start, _ = bundle(rng, free_poses=np.zeros(6, bool), free_landmarks=np.zeros(40, bool))
+    solution = solve(graph, start)
+    assert solution.status == Status.CONVERGED
+    np.testing.assert_array_equal(solution.values.poses.wxyz_xyz, start.poses.wxyz_xyz)
+    np.testing.assert_array_equal(solution.values.landmarks, start.landmarks)
+    np.testing.assert_allclose(solution.cost, cost(graph, start), rtol=1e-5)
+    none = RelativePose(np.zeros((0, 2), int), jaxlie.SE3(jnp.zeros((0, 7))), eye(1.0, 1.0))
+    prior = PosePrior([0], jaxlie.SE3(start.poses.wxyz_xyz[:1]), eye(1.0, 1.0))
+    alone = solve(FactorGraph([none, prior], num_poses=1), Values(jaxlie.SE3(start.poses.wxyz_xyz[1:2])))
+    assert alone.status == Status.CONVERGED
+    np.testing.assert_allclose(alone.values.poses.wxyz_xyz, start.poses.wxyz_xyz[:1], atol=1e-5)
+
+
 def test_a_measurement_that_is_not_finite_diverges_and_changes_nothing(rng):
     graph, start, _ = bundle(rng)
     prior, chain, seen = graph.factors
@@ -263,6 +295,11 @@ def test_marginals_are_blocks_of_the_inverse(float64, rng):
     np.testing.assert_allclose(found.landmarks[0], covariance[at, at], rtol=1e-6, atol=1e-12)
 
 
+def quickly(function):
+    """Compiled with few optimisations: each of these programs runs a few times for milliseconds."""
+    return jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})
+
+
 def scaled_range(row, poses, landmark):
     return row["weight"] * (jnp.linalg.norm(poses.wxyz_xyz[0, 4:] - landmark) - row["range"])[None]
 
@@ -286,9 +323,9 @@ def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(flo
     exact = SolverConfig("gauss_newton", cost_tolerance=0.0, step_tolerance=1e-12, max_iterations=40)
     unrolled = SolverConfig(cost_tolerance=0.0, step_tolerance=0.0, max_iterations=12, unrolled=True)
     arguments = jnp.zeros((2, 6)), jnp.asarray([3.0, 5.0])
-    solved = jax.jit(jax.value_and_grad(lambda *a: outcome(solve_implicit(graph(*a), start, exact)), (0, 1)))
+    solved = quickly(jax.value_and_grad(lambda *a: outcome(solve_implicit(graph(*a), start, exact)), (0, 1)))
     _, implicit = solved(*arguments)
-    unroll = jax.jit(jax.grad(lambda *a: outcome(solve(graph(*a), start, unrolled).values), (0, 1)))
+    unroll = quickly(jax.grad(lambda *a: outcome(solve(graph(*a), start, unrolled).values), (0, 1)))
     through = unroll(*arguments)
     for index, argument in enumerate(arguments):
         direction = jnp.asarray(rng.normal(size=argument.shape))
