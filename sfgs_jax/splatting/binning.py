@@ -133,9 +133,10 @@ class _Ellipses(eqx.Module):
 
     def tile_rows(self, rows: int, tile_size: int) -> tuple[Array, Array]:
         """First row of tiles and number of rows that the ellipse may reach."""
-        extent = jnp.sqrt(jnp.maximum(self.reach, 0)) / self.r
+        drawn = self.reach >= 0
+        extent = jnp.sqrt(jnp.maximum(self.reach, 0)) / jnp.where(drawn, self.r, 1)
         first, last = _tile_range(self.v - extent, self.v + extent, rows, tile_size)
-        return first, jnp.where(self.reach >= 0, jnp.maximum(last - first + 1, 0), 0)
+        return first, jnp.where(drawn, jnp.maximum(last - first + 1, 0), 0)
 
     def tile_columns(self, row: Array, columns: int, tile_size: int) -> tuple[Array, Array]:
         """First column of tiles and number of columns that the ellipse reaches in a row of tiles."""

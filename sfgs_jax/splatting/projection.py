@@ -11,7 +11,8 @@ Source: Zwicker et al., EWA splatting, 2002; Kerbl et al., 3D Gaussian splatting
 
 import math
 from collections.abc import Sequence
-from functools import partial
+from functools import partial, reduce
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,6 +24,7 @@ from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.splatting.config import DEFAULT, RenderConfig
 from sfgs_jax.splatting.gaussians import Gaussians
 from sfgs_jax.splatting.harmonics import sh_colours
+from sfgs_jax.splatting.used_rows import map_used_rows
 
 LOW_PASS = 0.3
 """Variance added to both axes of every image, pixels²: no Gaussian falls between pixels."""
@@ -60,7 +62,7 @@ def project(
 ) -> tuple[Projected, Float[Array, "n 3"]]:
     """Images of the Gaussians, and their RGB as seen from the camera.
 
-    Differentiable by ordinary means, forward and reverse, with zero gradients in lanes that are not
+    Reverse-mode differentiable, not forward, with zero gradients in lanes that are not
     visible: not in use, outside [near, far], too transparent, or off the image. Nor is a Gaussian visible
     that holds a NaN or whose image is larger than float32 can compute with.
 
@@ -84,19 +86,55 @@ def project(
 def _project(
     gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
 ) -> tuple[Projected, Float[Array, "n 3"]]:
-    # Arrays of one component each, from here to the end: XLA fuses those, and compiles them sooner.
+    def of_rows(rows: _Rows, valid: Array, view: tuple[Camera, jaxlie.SE3]) -> tuple[tuple, Array]:
+        return _project_rows(rows, valid, *view, config)
+
+    rows = _Rows(
+        means=_columns(gaussians.means),
+        quaternions=_columns(gaussians.quaternions),
+        log_scales=_columns(gaussians.log_scales),
+        opacity_logits=gaussians.opacity_logits,
+        sh=gaussians.sh,
+    )
+    mapped: tuple[tuple, Array] = map_used_rows(of_rows, rows, gaussians.valid, (camera, T_world_cam))
+    (centres, whitening, log_opacities, depths, rgb), visible = mapped
+    projected = Projected(
+        centres=jnp.stack(centres, axis=-1),
+        whitening=jnp.stack(whitening, axis=-1),
+        log_opacities=log_opacities,
+        depths=depths,
+        visible=visible,
+    )
+    return projected, rgb
+
+
+class _Rows(NamedTuple):
+    """Parameters of Gaussians, vectors by columns: XLA fuses those, and compiles them sooner."""
+
+    means: list[Array]
+    quaternions: list[Array]
+    log_scales: list[Array]
+    opacity_logits: Array
+    sh: Array
+
+
+def _project_rows(
+    rows: _Rows, valid: Bool[Array, " n"], camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
+) -> tuple[tuple[list[Array], list[Array], Array, Array, Array], Bool[Array, " n"]]:
+    """Centres, whitening, logarithms of the opacities, depths and RGB; and which are visible."""
     R_cam_world = se3.rotation_matrix(T_world_cam).T
     # Relative to the camera before anything else: far from the origin float32 has no digits to spare.
-    offset = _components(gaussians.means - T_world_cam.wxyz_xyz[4:])
+    origin = T_world_cam.wxyz_xyz[4:]
+    offset = [mean - origin[i] for i, mean in enumerate(rows.means)]
     z = _dot(R_cam_world[2], offset)
-    used = gaussians.valid & (z > config.near) & (z < config.far) & _computable(gaussians, camera, z)
+    used = valid & (z > config.near) & (z < config.far) & _computable(rows, camera, z)
 
     # Lanes not in use are replaced on the way in, so that no NaN arises there, nor in a gradient.
     offset = [jnp.where(used, o, axis) for o, axis in zip(offset, R_cam_world[2], strict=True)]
-    quaternion = [jnp.where(used, q, 1) for q in _components(gaussians.quaternions)]
-    scale = [jnp.exp(jnp.where(used, s, 0)) for s in _components(gaussians.log_scales)]
-    logits = jnp.where(used, gaussians.opacity_logits, 0)
-    sh = jnp.where(used[:, None, None], gaussians.sh, 0)
+    quaternion = [jnp.where(used, q, 1) for q in rows.quaternions]
+    scale = [jnp.exp(jnp.where(used, s, 0)) for s in rows.log_scales]
+    logits = jnp.where(used, rows.opacity_logits, 0)
+    sh = jnp.where(used[:, None, None], rows.sh, 0)
 
     x, y, z = (_dot(row, offset) for row in R_cam_world)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
@@ -122,30 +160,13 @@ def _project(
             (v, jnp.sqrt(jnp.maximum(reach, 0) * vv), camera.height),
         )
     ]
-    projected = Projected(
-        centres=jnp.stack([u, v], axis=-1),
-        whitening=jnp.stack([p, -p * uv / vv, 1 / jnp.sqrt(vv)], axis=-1),
-        log_opacities=log_opacities,
-        depths=z,
-        visible=used & (reach >= 0) & inside[0] & inside[1],
-    )
-    return projected, sh_colours(sh, jnp.stack(offset, axis=-1))
+    visible = used & (reach >= 0) & inside[0] & inside[1]
+    whitening = [p, -p * uv / vv, 1 / jnp.sqrt(vv)]
+    return ([u, v], whitening, log_opacities, z, sh_colours(sh, jnp.stack(offset, axis=-1))), visible
 
 
-@jax.custom_vjp
-def _components(vectors: Float[Array, "n d"]) -> list[Array]:
-    """Columns. The gradient is put together column by column, each written where it goes: as a sum of
-    padded columns or a concatenation, XLA would compute every column for every entry of the result."""
+def _columns(vectors: Float[Array, "n d"]) -> list[Array]:
     return [vectors[:, i] for i in range(vectors.shape[1])]
-
-
-def _assemble(vectors: Array, parts: list[Array]) -> tuple[Array]:
-    for i, part in enumerate(parts):
-        vectors = jax.lax.dynamic_update_slice(vectors, part[:, None], (0, i))
-    return (vectors,)
-
-
-_components.defvjp(lambda vectors: (_components(vectors), vectors), _assemble)
 
 
 def _dot(a: Array | Sequence[Array], b: Sequence[Array]) -> Array:
@@ -185,21 +206,23 @@ def _image_axes(
     return m1, m2
 
 
-def _computable(gaussians: Gaussians, camera: Camera, z: Float[Array, " n"]) -> Bool[Array, " n"]:
+def _computable(rows: _Rows, camera: Camera, z: Float[Array, " n"]) -> Bool[Array, " n"]:
     """Which Gaussians have no NaN and an image with numbers small enough for their fourth powers."""
-    size = jnp.max(gaussians.log_scales, axis=-1) + jnp.log(jnp.maximum(camera.fx, camera.fy) / z)
+    # Column by column, because reductions over a short axis are slow.
+    largest = reduce(jnp.maximum, rows.log_scales)
+    size = largest + jnp.log(jnp.maximum(camera.fx, camera.fy) / z)
+    numbers = [*rows.quaternions, *_columns(rows.sh.reshape(rows.sh.shape[0], -1))]
     return (
         (size < _MAX_LOG_IMAGE_SIZE)  # False where NaN
-        & jnp.all(jnp.isfinite(gaussians.quaternions), axis=-1)
-        & ~jnp.isnan(gaussians.opacity_logits)
-        & jnp.all(jnp.isfinite(gaussians.sh), axis=(-2, -1))
+        & reduce(jnp.logical_and, map(jnp.isfinite, numbers))
+        & ~jnp.isnan(rows.opacity_logits)
     )
 
 
 def _rotation_columns(quaternion: list[Array]) -> list[list[Array]]:
     """Columns of the rotation matrices of quaternions wxyz of any length; a zero one does not rotate."""
     # The length has no influence, so it may be taken out as a constant: nothing over- or underflows then.
-    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(jnp.stack(quaternion)), axis=0))
+    largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, quaternion)))
     w, x, y, z = (q / jnp.where(largest > 0, largest, 1) for q in quaternion)
     # The products of a unit quaternion's entries, doubled, are those of any other's times this.
     two = 2 / jnp.where(largest > 0, w * w + x * x + y * y + z * z, 1)
