@@ -69,7 +69,7 @@ def _align(
     centred_prior = None if prior is None else frames.centred_prior(prior)
     found = locate(source.levels, target.levels, frames.centred(T), centred_prior, config)
     # Nothing but the motion has derivatives: those of eigenvectors that are not unique would be NaN.
-    finest = level_problem(source.levels, target.levels, None, 0, config)
+    finest = level_problem(source.levels, target.levels, None, 0, config, judged=True)
     result = assess(*lax.stop_gradient((finest, found)), config)
     return RegistrationResult(
         frames.given(found.T_target_source),

@@ -51,7 +51,7 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
     values, vectors = jnp.linalg.eigh(geometry)
     # Many points may have the same nearest one: a list of a few of them supports nothing.
     search = problem.target.search
-    supported = count >= config.min_inliers
+    supported = count * problem.thinned >= config.min_inliers
     if isinstance(search, SpatialHash):
         supported = supported & (search.starts[-1] >= config.min_inliers)
     converged = found.settled & supported & (fraction >= config.min_inlier_fraction)

@@ -16,16 +16,24 @@ class OrganisedLevel(eqx.Module):
     """One resolution of an organised cloud.
 
     Attributes:
-        points: (H, W, 3) camera coordinates, metres; 0 where not valid.
-        normals: (H, W, 3) unit normals facing the camera; 0 where not valid.
+        surface: (H, W, 6) point and normal of each pixel, side by side: an alignment copies them at once.
         valid: (H, W) whether the pixel has a surface.
         camera: intrinsics of this level.
     """
 
-    points: Float[Array, "H W 3"]
-    normals: Float[Array, "H W 3"]
+    surface: Float[Array, "H W 6"]
     valid: Bool[Array, "H W"]
     camera: Camera
+
+    @property
+    def points(self) -> Float[Array, "H W 3"]:
+        """Camera coordinates, metres; 0 where not valid."""
+        return self.surface[..., :3]
+
+    @property
+    def normals(self) -> Float[Array, "H W 3"]:
+        """Unit normals facing the camera; 0 where not valid."""
+        return self.surface[..., 3:]
 
 
 class OrganisedCloud(eqx.Module):
@@ -61,7 +69,7 @@ def prepare(
         raise InputError(
             f"A depth image of {depth.shape} can't be halved {halvings} times; ask for fewer levels."
         )
-    return _prepare(jnp.asarray(depth), camera, config)
+    return _prepare(depth, camera, config)
 
 
 @partial(jax.jit, static_argnames="config")
@@ -73,5 +81,5 @@ def _prepare(depth: Float[Array, "H W"], camera: Camera, config: GicpConfig) -> 
             depth, camera = downscale_depth(depth, 2), camera.downscaled(2)
         if halving >= config.skipped_halvings:
             s = surface(depth, camera, radius=config.radius, edge_tolerance=config.edge_tolerance)
-            levels.append(OrganisedLevel(s.points, s.normals, s.valid, camera))
+            levels.append(OrganisedLevel(jnp.concatenate([s.points, s.normals], axis=-1), s.valid, camera))
     return OrganisedCloud(tuple(levels))

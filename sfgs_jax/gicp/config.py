@@ -125,15 +125,16 @@ class GicpConfig:
     """No step goes along a direction below this. It is lower because correspondences far from the answer are
     few and lopsided, and then show less of a direction than there is."""
 
-    tolerance: float = 2e-4
-    """A level is done when a step is shorter than this, metres and radians."""
+    tolerance: tuple[float, ...] = (2e-4, 1e-3, 3e-3, 1e-2)
+    """Per level from the finest: it is done when a step is shorter than this, metres and radians. What a coarser
+    level leaves, the next one takes care of."""
 
     inlier_width: float = 3.0
     """An inlier lies within this many standard deviations of the target's surface."""
 
     min_inliers: int = 100
-    """Fewer inliers than this at the finest level, or fewer points in an unorganised target, and the result
-    is not called converged."""
+    """Fewer inliers than this among the points aligned at the finest level, or fewer points in an unorganised
+    target, and the result is not called converged."""
 
     min_inlier_fraction: float = 0.2
     """A smaller share of inliers and the result is not called converged."""

@@ -6,6 +6,7 @@ In an organised target that is what the point's pixel sees, in an unorganised on
 import equinox as eqx
 import jax.numpy as jnp
 import jaxlie
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera, se3
@@ -84,17 +85,17 @@ def samples_of(level: OrganisedLevel | PointLevel, stride: int, config: GicpConf
     if isinstance(level, PointLevel):
         variance = level.deviation[None] ** 2
         return Samples(level.points.T, level.normals.T, variance, level.valid, oriented=False)
-    points, normals, valid = (x[::stride, ::stride] for x in (level.points, level.normals, level.valid))
-    rows = points.reshape(-1, 3).T
-    variance = (config.noise + config.noise_per_square_metre * rows[2] ** 2) ** 2
-    return Samples(rows, normals.reshape(-1, 3).T, variance, valid.reshape(-1), oriented=True)
+    surface, valid = (x[::stride, ::stride] for x in (level.surface, level.valid))
+    columns = surface.reshape(-1, 6).T
+    variance = (config.noise + config.noise_per_square_metre * columns[2] ** 2) ** 2
+    return Samples(columns[:3], columns[3:], variance, valid.reshape(-1), oriented=True)
 
 
 def target_of(level: OrganisedLevel | PointLevel, index: int, config: GicpConfig) -> Target:
     """A level as target; `index` counts from the finest."""
     cosine = at_level(config.min_normal_cosine, index)
     if isinstance(level, OrganisedLevel):
-        rows = jnp.concatenate([level.points, level.normals], axis=-1).reshape(-1, 6)
+        rows = level.surface.reshape(-1, 6)
         zero = jnp.zeros((), rows.dtype)
         reach = zero + at_level(config.max_distance, index)
         window = at_level(config.windows, index)
@@ -150,13 +151,28 @@ def _find(
         return index, found & source.valid
     index, inside = _seen(target.search, moved, target.window)
     if target.window > 0:
-        points = jnp.moveaxis(target.rows[:, :3][index], -1, 0)
-        surface = jnp.any(target.rows[:, 3:6] != 0, axis=1)[index]
-        offset = moved[:, None] - points
-        square = jnp.where(inside & surface, dot(offset, offset), jnp.inf)
-        nearest_of_window = jnp.argmin(square, axis=0)[None]
-        index, inside = (jnp.take_along_axis(x, nearest_of_window, axis=0) for x in (index, inside))
+        surface = jnp.any(target.rows[:, 3:6] != 0, axis=1, keepdims=True)
+        # One coordinate at a time: XLA takes much longer for triples.
+        columns = jnp.where(surface, target.rows[:, :3], jnp.inf).T
+        square = sum(
+            (m - c.at[index].get(mode="promise_in_bounds")) ** 2 for m, c in zip(moved, columns, strict=True)
+        )
+        square = jnp.where(inside, square, jnp.inf)
+        best = _least(square)[None]
+        index, inside = (jnp.take_along_axis(x, best, axis=0) for x in (index, inside))
     return index[0], inside[0] & source.valid
+
+
+def _least(squares: Float[Array, "K N"]) -> Int[Array, " N"]:
+    """Row of the least number of each column; numbers not below 0 that are within 2^-16 of it count as equal.
+
+    The bits of such floats are in the order of the numbers. With the row in the lowest bits a plain minimum,
+    which XLA vectorises, finds both; its argmin takes several times as long.
+    """
+    count = squares.shape[0]
+    mask = (1 << (count - 1).bit_length()) - 1
+    bits = lax.bitcast_convert_type(squares.astype(jnp.float32), jnp.int32)
+    return jnp.min((bits & ~mask) | jnp.arange(count, dtype=jnp.int32)[:, None], axis=0) & mask
 
 
 def _seen(

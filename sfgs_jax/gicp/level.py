@@ -26,6 +26,10 @@ from sfgs_jax.gicp.point_cloud import PointLevel
 from sfgs_jax.gicp.prior import MotionPrior
 from sfgs_jax.gicp.step import Equations, equations, newton, solve
 
+THINNING = 2
+"""An alignment is judged by rows and columns this many times farther apart than those that it aligns: the
+windows of neighbours hold mostly the same pixels."""
+
 Levels = tuple[OrganisedLevel, ...] | tuple[PointLevel, ...]
 _Outcome = tuple[jaxlie.SE3, Int[Array, ""], Bool[Array, ""]]
 
@@ -40,7 +44,9 @@ class LevelProblem(eqx.Module):
         prior: what is known of the motion.
         width: width of the robust kernel at this level; static.
         shared: how many source points share one measurement; static.
+        thinned: of how many points to align each is one; static.
         max_iterations: static.
+        tolerance: step at which the level is done, metres and radians; static.
         config: static.
     """
 
@@ -50,7 +56,9 @@ class LevelProblem(eqx.Module):
     prior: MotionPrior | None
     width: float = eqx.field(static=True)
     shared: float = eqx.field(static=True)
+    thinned: int = eqx.field(static=True)
     max_iterations: int = eqx.field(static=True)
+    tolerance: float = eqx.field(static=True)
     config: GicpConfig = eqx.field(static=True)
 
     def pairs(self, T: jaxlie.SE3) -> Correspondences:
@@ -74,7 +82,7 @@ class LevelProblem(eqx.Module):
     ) -> tuple[jaxlie.SE3, Bool[Array, ""]]:
         delta = solve(e, damping, self.config.step_observability)
         square = jnp.maximum(jnp.sum(delta[:3] ** 2), jnp.sum(delta[3:] ** 2))
-        return se3.compose(T, se3.exp(delta)), square < self.config.tolerance**2
+        return se3.compose(T, se3.exp(delta)), square < self.tolerance**2
 
     def _gauss_newton(self, T: jaxlie.SE3) -> _Outcome:
         damping = jnp.asarray(self.config.damping, self.moments.dtype)
@@ -157,11 +165,21 @@ class _Trial(eqx.Module):
 
 
 def level_problem(
-    source: Levels, target: Levels, prior: MotionPrior | None, index: int, config: GicpConfig
+    source: Levels,
+    target: Levels,
+    prior: MotionPrior | None,
+    index: int,
+    config: GicpConfig,
+    *,
+    judged: bool = False,
 ) -> LevelProblem:
-    """The problem at a level, counted from the finest; a cloud with fewer levels repeats its coarsest."""
+    """The problem at a level, counted from the finest; a cloud with fewer levels repeats its coarsest.
+
+    With `judged` of an organised source only what an alignment is judged by.
+    """
     level = at_level(source, index)
-    stride = stride_of(level, index, config)
+    thinning = THINNING if judged and isinstance(level, OrganisedLevel) else 1
+    stride = thinning * stride_of(level, index, config)
     samples = samples_of(level, stride, config)
     return LevelProblem(
         samples,
@@ -170,7 +188,9 @@ def level_problem(
         prior,
         config.kernel_width * 2**index,
         shared_by(level, stride, config),
+        thinning**2,
         at_level(config.max_iterations, index),
+        at_level(config.tolerance, index),
         config,
     )
 

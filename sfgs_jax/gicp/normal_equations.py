@@ -25,8 +25,8 @@ _PAIR_INDEX[_PAIRS] = _PAIR_INDEX[_PAIRS[::-1]] = range(10)
 
 def point_moments(points: Float[Array, "3 N"]) -> Float[Array, "10 N"]:
     """Products of the homogeneous coordinates of each point, fixed through an alignment."""
-    homogeneous = jnp.concatenate([points, jnp.ones_like(points[:1])])
-    return jnp.stack([homogeneous[i] * homogeneous[j] for i, j in zip(*_PAIRS, strict=True)])
+    h = jnp.concatenate([points, jnp.ones_like(points[:1])])
+    return jnp.concatenate([h[i] * h[i:] for i in range(4)])
 
 
 def moment_sums(

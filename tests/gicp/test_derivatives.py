@@ -19,7 +19,7 @@ from tests.gicp.scenes import cast
 from tests.gicp.test_point_clouds import MOTION, moved, room
 
 # Steps down to rounding, so that a difference of two alignments is that of two optima.
-CONFIG = GicpConfig(levels=1, strides=(1,), max_iterations=(60,), tolerance=1e-13, damping=1e-12)
+CONFIG = GicpConfig(levels=1, strides=(1,), max_iterations=(60,), tolerance=(1e-13,), damping=1e-12)
 POINTS = PointsConfig(levels=1, voxel_size=0.15, max_points=512, slots=64, doublings=0)
 CAMERA = Camera(75.0, 75.0, 39.5, 29.5, width=80, height=60)
 
