@@ -126,8 +126,8 @@ class GicpConfig:
     few and lopsided, and then show less of a direction than there is."""
 
     tolerance: tuple[float, ...] = (2e-4, 1e-3, 3e-3, 1e-2)
-    """Per level from the finest: it is done when a step is shorter than this, metres and radians. What a coarser
-    level leaves, the next one takes care of."""
+    """Per level from the finest: it is done when a step is shorter than this, metres and radians. What a
+    coarser level leaves, the next one takes care of."""
 
     inlier_width: float = 3.0
     """An inlier lies within this many standard deviations of the target's surface."""

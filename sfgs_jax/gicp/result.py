@@ -14,7 +14,8 @@ class RegistrationResult(eqx.Module):
             perturbation), metres and radians: what a pose-graph edge is weighted by. Only distances along
             the normals count, so along a bare wall it is zero.
         rmse: root mean square distance along the normals of the inliers, metres.
-        inlier_fraction: share of the source's points, of a sample at the finest level, that lie on the target.
+        inlier_fraction: share of the source's points, of a sample at the finest level, that lie on the
+            target.
         iterations: steps over all levels.
         converged: the last steps were short, and there are enough inliers.
         observability: (6,) ascending, how well the geometry fixes each direction of motion: the mean of the
