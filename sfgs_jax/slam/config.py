@@ -191,14 +191,14 @@ class MappingConfig:
     """A view is taken this many frames after the last one, if no keyframe comes sooner."""
     views_in_memory: int = 128
     """Views and keyframes whose images stay in memory; those of older ones are kept on disk."""
-    steps_per_frame: int = 1
+    steps_per_frame: int = 0
     """Optimisation steps after each tracked frame."""
-    steps_per_view: int = 4
-    """Further optimisation steps on a new view."""
-    final_steps: int = 200
+    steps_per_view: int = 3
+    """Optimisation steps on a new view."""
+    final_steps: int = 900
     """Optimisation steps over all views after the last frame."""
     newest_share: float = 0.3
-    """Share of steps spent on the newest view; the others are drawn uniformly."""
+    """Share of the steps between views that the newest view gets; the others are drawn uniformly."""
     prune_interval: int = 200
     """Steps between two removals of transparent Gaussians."""
     prune_opacity: float = 0.02

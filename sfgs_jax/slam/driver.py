@@ -222,7 +222,7 @@ def _refine(run: Run, observer: Callable[[Progress], None]) -> None:
     while run.num_refined < config.mapping.final_steps:
         with run.stopwatch("refinement"):
             mapping, _ = optimise_once(
-                run.state.mapping, state.mapping_camera, config.mapping, seed=config.seed
+                run.state.mapping, state.mapping_camera, config.mapping, newest_share=0.0, seed=config.seed
             )
         run.state = replace(run.state, mapping=mapping)
         run.num_refined += 1

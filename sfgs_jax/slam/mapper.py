@@ -92,6 +92,11 @@ class Mapper:
 
     def _optimise(self) -> None:
         with self._stopwatch("mapping"):
+            config = self._config.mapping
             self._mapping, _ = optimise_once(
-                self._mapping, self._camera, self._config.mapping, seed=self._config.seed
+                self._mapping,
+                self._camera,
+                config,
+                newest_share=config.newest_share,
+                seed=self._config.seed,
             )

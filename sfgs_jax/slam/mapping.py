@@ -84,7 +84,7 @@ def insert_view(mapping: MapState, view: View, camera: Camera, config: MappingCo
 
 
 def optimise_once(
-    mapping: MapState, camera: Camera, config: MappingConfig, *, seed: int = 0, newest: bool = False
+    mapping: MapState, camera: Camera, config: MappingConfig, *, newest_share: float, seed: int = 0
 ) -> tuple[MapState, float]:
     """One optimisation step on the newest view, or on one drawn from all.
 
@@ -92,14 +92,14 @@ def optimise_once(
         mapping: the map and at least one view.
         camera: of the views.
         config: settings.
+        newest_share: probability that the newest view is taken; else one is drawn uniformly.
         seed: of the choice of views.
-        newest: take the newest view, whatever is drawn.
 
     Returns:
         The map state after it and the loss before it.
     """
     draw = np.random.default_rng([seed, mapping.num_steps])
-    newest = newest or draw.random() < config.newest_share
+    newest = draw.random() < newest_share
     chosen = mapping.views[-1 if newest else draw.integers(len(mapping.views))]
     T_world_cam = _pose(chosen, mapping)
     while True:
@@ -121,10 +121,10 @@ def optimise_once(
     return replace(mapping, map=optimised, num_steps=num_steps), float(loss)
 
 
-def warm_up(mapping: MapState, keyframe_poses: Float[np.ndarray, "n 7"]) -> None:
+def warm_up(mapping: MapState, keyframe_poses: Float[np.ndarray, "n 7"], config: MappingConfig) -> None:
     """Compile what only some of the later steps need."""
     move(mapping.map, keyframe_poses, keyframe_poses)
-    prune(mapping.map, 0.0)
+    prune(mapping.map, config.prune_opacity)
 
 
 def _pose(view: View, mapping: MapState) -> jaxlie.SE3:

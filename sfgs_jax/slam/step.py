@@ -162,8 +162,9 @@ def advance_map(
     with stages("mapping"):
         extra = config.steps_per_view if view is not None else 0
         for i in range(extra + config.steps_per_frame):
+            share = 1.0 if i < extra else config.newest_share
             mapping, loss = optimise_once(
-                mapping, state.mapping_camera, config, seed=state.config.seed, newest=i < extra
+                mapping, state.mapping_camera, config, newest_share=share, seed=state.config.seed
             )
     return mapping, loss
 
@@ -182,7 +183,7 @@ def _compile_ahead(state: SlamState) -> None:
     twin = _next_keyframe(twin, observation, again, 1)
     twin = replace(twin, pending=((0, 1),))
     _advance_graph(twin, True)
-    warm_up(twin.mapping, twin.keyframe_poses[:1])
+    warm_up(twin.mapping, twin.keyframe_poses[:1], state.config.mapping)
 
 
 def _find(state: SlamState, observation: Observation) -> tuple[SlamState, Tracking]:

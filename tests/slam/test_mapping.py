@@ -52,7 +52,7 @@ def test_optimisation_brings_the_rendering_closer(seeded, frames):
     before = render_psnr(seeded, frames[0])
     mapping, losses = seeded.mapping, []
     for _ in range(30):
-        mapping, loss = optimise_once(mapping, seeded.mapping_camera, seeded.config.mapping)
+        mapping, loss = optimise_once(mapping, seeded.mapping_camera, seeded.config.mapping, newest_share=0.3)
         losses.append(loss)
     assert losses[-1] < 0.75 * losses[0]
     assert render_psnr(replace(seeded, mapping=mapping), frames[0]) > before + 1.5
@@ -62,7 +62,7 @@ def test_gaussians_out_of_view_keep_their_place_and_their_moments(seeded):
     behind = seeded.gaussians.means.at[0].set(jnp.asarray([0.0, 0.0, -2.0]))
     mapping = eqx.tree_at(lambda m: m.map.gaussians.means, seeded.mapping, behind)
     for _ in range(3):
-        mapping, _ = optimise_once(mapping, seeded.mapping_camera, seeded.config.mapping)
+        mapping, _ = optimise_once(mapping, seeded.mapping_camera, seeded.config.mapping, newest_share=0.3)
     np.testing.assert_array_equal(mapping.map.gaussians.means[0], [0.0, 0.0, -2.0])
     assert mapping.map.updates[0] == 0
     assert jnp.max(mapping.map.updates) == 3
@@ -73,8 +73,8 @@ def test_unused_slots_never_matter(seeded):
     nan = jnp.where(used[:, None], seeded.gaussians.means, jnp.nan)
     dirty = eqx.tree_at(lambda m: m.map.gaussians.means, seeded.mapping, nan)
     settings = seeded.mapping_camera, seeded.config.mapping
-    mapping, loss = optimise_once(dirty, *settings)
-    clean, clean_loss = optimise_once(seeded.mapping, *settings)
+    mapping, loss = optimise_once(dirty, *settings, newest_share=0.3)
+    clean, clean_loss = optimise_once(seeded.mapping, *settings, newest_share=0.3)
     assert loss == pytest.approx(clean_loss)
     np.testing.assert_allclose(mapping.map.gaussians.means[used], clean.map.gaussians.means[used])
 
