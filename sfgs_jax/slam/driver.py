@@ -143,8 +143,8 @@ def run(
         observer: called after every frame and final step.
         storage: folder for the images of old keyframes; without one they stay in memory.
         resumed: a run to go on with; `frames` begin where it stopped.
-        realtime: map in a thread of its own, in what time tracking leaves. Otherwise each frame has its
-            number of mapping steps, and a run repeats itself to the bit.
+        realtime: map in a thread of its own, in what time tracking leaves. Otherwise each frame and
+            each view has its number of mapping steps, and a run repeats itself to the bit.
 
     Raises:
         TooManySkipped: too many frames could not be decoded; it carries the run so far.
