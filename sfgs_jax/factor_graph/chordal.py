@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Bool, Float
 
-from sfgs_jax.factor_graph.config import SolverConfig
 from sfgs_jax.factor_graph.factor import Factor, squared
 from sfgs_jax.factor_graph.graph import FactorGraph
 from sfgs_jax.factor_graph.linear_solvers import prepare_solve
@@ -38,7 +37,7 @@ DAMPING = 1e-6
 POLAR_STEPS = 12
 """Newton steps to the nearest rotation: enough for singular values 1000 apart."""
 
-_EXACT = SolverConfig(pcg_tolerance=1e-5, pcg_max_iterations=1000)
+PCG_TOLERANCE, PCG_ITERATIONS = 1e-5, 1000
 
 
 class _Rows(eqx.Module):
@@ -167,9 +166,7 @@ def _least_squares(graph: FactorGraph, rows: list[_Rows | None], d: int) -> Floa
     diagonal, off_diagonal, known = hold_fixed(graph, blocks)
     right = jnp.where(known[:, None, None], -gradient, 0)
     system = Reduced(damp(diagonal, jnp.asarray(DAMPING, dtype)), off_diagonal, right[:, :, 0])
-    solve = prepare_solve(
-        graph, system, pcg_tolerance=_EXACT.pcg_tolerance, pcg_max_iterations=_EXACT.pcg_max_iterations
-    )
+    solve = prepare_solve(graph, system, pcg_tolerance=PCG_TOLERANCE, pcg_max_iterations=PCG_ITERATIONS)
     return jax.vmap(solve, in_axes=2, out_axes=2)(right)
 
 
@@ -181,9 +178,8 @@ def _nearest_rotations(matrices: Float[Array, "P 3 3"]) -> tuple[Float[Array, "P
     """
     X = jnp.moveaxis(matrices, 0, -1)  # lanes last, for SIMD
     largest = jnp.max(jnp.abs(X), axis=(0, 1))
-    X /= jnp.where(
-        largest > 0, largest, 1
-    )  # the determinant of a small matrix may be less than float32 knows
+    # The determinant of a small matrix may be less than float32 knows.
+    X /= jnp.where(largest > 0, largest, 1)
     volume = jnp.sum(X[0] * _cofactors(X)[0], axis=0)
     proper = volume > 0
     X = jnp.where(proper, X / jnp.cbrt(jnp.where(proper, volume, 1)), jnp.eye(3, dtype=X.dtype)[:, :, None])

@@ -8,13 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.factor_graph.config import SolverConfig
 from sfgs_jax.factor_graph.graph import FactorGraph
 from sfgs_jax.factor_graph.linear_solvers import prepare_solve
 from sfgs_jax.factor_graph.normal_equations import landmark_steps, linearise, reduce
 from sfgs_jax.factor_graph.values import Values
 
-_EXACT = SolverConfig(pcg_tolerance=1e-6, pcg_max_iterations=1000)
+PCG_TOLERANCE, PCG_ITERATIONS = 1e-6, 1000
 
 
 class Marginals(eqx.Module):
@@ -57,9 +56,7 @@ def _marginals(graph: FactorGraph, values: Values, poses: Array, landmarks: Arra
     equations = linearise(graph, values)
     dtype = values.poses.wxyz_xyz.dtype
     s, none = graph.structure, jnp.zeros((), dtype)
-    linear_solve = partial(
-        prepare_solve, pcg_tolerance=_EXACT.pcg_tolerance, pcg_max_iterations=_EXACT.pcg_max_iterations
-    )
+    linear_solve = partial(prepare_solve, pcg_tolerance=PCG_TOLERANCE, pcg_max_iterations=PCG_ITERATIONS)
     reduced, _, _ = reduce(graph, equations, none)
     solve = linear_solve(graph, reduced)
     eye = jnp.eye(6, dtype=dtype)
