@@ -43,6 +43,27 @@ class Drawn:
     second: np.ndarray
     carry: Carry
     change: ViewConfig
+    planar: bool
+    """Whether both are one image."""
+
+
+@dataclass(frozen=True)
+class Views:
+    """What a pair shows once both images have been warped, relit and partly covered.
+
+    Attributes:
+        images: (2, S, S) normalised.
+        covered: (2, S, S) where something else was laid over the image.
+        carry: from the first view's pixels to the second's.
+        H_b_a: (3, 3) the same as a homography, if the pair is planar.
+        planar: whether it is.
+    """
+
+    images: np.ndarray
+    covered: np.ndarray
+    carry: Carry
+    H_b_a: np.ndarray
+    planar: bool
 
 
 class Scenes(Protocol):
@@ -67,7 +88,7 @@ class Photos:
         if image is None:
             raise InputError(f"{path} can't be read as an image.")
         grey = image.mean(2, dtype=np.float32) / 255
-        return Drawn(grey, grey, lambda pixels: (pixels, np.ones(len(pixels), bool)), ViewConfig())
+        return Drawn(grey, grey, lambda pixels: (pixels, np.ones(len(pixels), bool)), ViewConfig(), True)
 
 
 class RecordingPairs:
@@ -98,7 +119,7 @@ class RecordingPairs:
         if rng.random() < 0.5:
             first, second = second, first
         a, b = (self._greys[index].astype(np.float32) / 255 for index in (first, second))
-        return Drawn(a, b, lambda pixels: self._carry(first, second, pixels), _RGBD_VIEW)
+        return Drawn(a, b, lambda pixels: self._carry(first, second, pixels), _RGBD_VIEW, False)
 
     def _carry(self, first: int, second: int, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         camera = self._camera
@@ -149,23 +170,30 @@ def _batch(
         pair = _views(rng, scene.draw(rng))
         if pair is not None:
             made.append(pair)
-    images = np.stack([views for views, _, _ in made])
+    images = np.stack([views.images for views in made])
     heat, descriptors, reliability = _labels(teacher, images)
     points, seen = zip(
-        *(_points(rng, heat[index, 0], covered, carry) for index, (_, covered, carry) in enumerate(made)),
+        *(_points(rng, heat[index, 0], views) for index, views in enumerate(made)),
         strict=True,
     )
     labelled = np.zeros(reliability.shape, np.float32)
     labelled[:, :, 1:-1, 1:-1] = 1
-    arrays = (images, heat, descriptors, reliability, labelled, np.stack(points), np.stack(seen))
-    return Batch(*map(jnp.asarray, arrays))
+    return Batch(
+        images=jnp.asarray(images),
+        heat=jnp.asarray(heat),
+        descriptors=jnp.asarray(descriptors),
+        reliability=jnp.asarray(reliability),
+        labelled=jnp.asarray(labelled),
+        points=jnp.asarray(np.stack(points)),
+        seen=jnp.asarray(np.stack(seen)),
+        H_b_a=jnp.asarray(np.stack([views.H_b_a for views in made]), jnp.float32),
+        planar=jnp.asarray([views.planar for views in made], jnp.float32),
+        hidden=jnp.asarray(np.stack([views.covered for views in made])),
+    )
 
 
-def _views(
-    rng: np.random.Generator, drawn: Drawn
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], Carry] | None:
-    """Two views, where each is covered, and where the first's pixels lie in the second; None where the
-    two hardly overlap."""
+def _views(rng: np.random.Generator, drawn: Drawn) -> Views | None:
+    """Two views; None where they hardly overlap."""
     first = _crop(rng, drawn.first.shape)
     middle = np.array([[(SIZE - 1) / 2, (SIZE - 1) / 2]])
     carried, seen = drawn.carry(_apply(np.linalg.inv(first), middle))
@@ -187,7 +215,8 @@ def _views(
         image, mask = occlude(rng, relight(rng, image))
         views[index] = normalised(image)
         covered.append(mask)
-    return np.stack(views), (covered[0], covered[1]), carry
+    H_b_a = second @ np.linalg.inv(first)
+    return Views(np.stack(views), np.stack(covered), carry, H_b_a, drawn.planar)
 
 
 def _crop(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
@@ -218,17 +247,16 @@ def _labels(teacher: XFeat, images: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     return heat, descriptors, reliability[..., 0]
 
 
-def _points(
-    rng: np.random.Generator, heat: np.ndarray, covered: tuple[np.ndarray, np.ndarray], carry: Carry
-) -> tuple[np.ndarray, np.ndarray]:
+def _points(rng: np.random.Generator, heat: np.ndarray, views: Views) -> tuple[np.ndarray, np.ndarray]:
     """Points of a pair, (2, N, 2), and which are seen: a cell's keypoint, or any place where it has none."""
     best = heat[..., :-1].argmax(-1).reshape(-1)
     strength = heat[..., :-1].max(-1).reshape(-1)
     place = np.where(strength > _MIN_HEAT, best, rng.integers(0, CELL * CELL, best.size))
     rows, columns = np.divmod(np.arange(best.size), _CELLS)
     pixels = np.column_stack([columns * CELL + place % CELL, rows * CELL + place // CELL]).astype(np.float64)
-    there, seen = carry(pixels)
-    seen &= ~_look_up(covered[0], pixels, 1.0).astype(bool) & ~_look_up(covered[1], there, 1.0).astype(bool)
+    there, seen = views.carry(pixels)
+    for covered, places in zip(views.covered, (pixels, there), strict=True):
+        seen &= ~_look_up(covered, places, 1.0).astype(bool)
     # Seen ones first, keypoints twice as likely as other places.
     order = np.argsort(-(seen * (1.0 + (strength > _MIN_HEAT)) * rng.random(best.size)), kind="stable")[
         :POINTS

@@ -27,7 +27,7 @@ from experiments.xfeat import XFeat, default_weights
 from sfgs_jax.datasets import read_photos
 from sfgs_jax.geometry import InputError
 from sfgs_jax.superfeats.layers import fold
-from sfgs_jax.superfeats.network import NetworkConfig, initialise_network
+from sfgs_jax.superfeats.network import Network, NetworkConfig, initialise_network
 from sfgs_jax.superfeats.training import (
     Batch,
     LossWeights,
@@ -84,6 +84,9 @@ class TrainingConfig:
     layout: Literal["folder", "coco", "megadepth"] = "folder"
     """How they lie there."""
 
+    description_from: Path | None = None
+    """checkpoint.eqx of a run whose description branch, of the same widths, this one goes on with."""
+
     weights: LossWeights = field(default_factory=LossWeights)
     network: NetworkConfig = field(default_factory=NetworkConfig)
 
@@ -100,7 +103,7 @@ def train(config: TrainingConfig) -> None:
     scenes = _scenes(config, training_photos, _TRAINING_FRAMES)
 
     optimiser = _optimiser(config.learning_rate, config.warm_up, config.steps)
-    state = initial_state(initialise_network(jax.random.key(config.seed), config.network), optimiser)
+    state = initial_state(_first_network(config), optimiser)
     checkpoint = config.out / "checkpoint.eqx"
     if checkpoint.exists():
         state = eqx.tree_deserialise_leaves(checkpoint, state)
@@ -137,6 +140,19 @@ def _optimiser(learning_rate: float, warm_up: int, steps: int) -> optax.Gradient
     """One object for the same settings, so that a step of several runs is compiled once."""
     schedule = optax.warmup_cosine_decay_schedule(0.0, learning_rate, warm_up, steps, learning_rate / 100)
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+
+
+def _first_network(config: TrainingConfig) -> Network:
+    network = initialise_network(jax.random.key(config.seed), config.network)
+    if config.description_from is None:
+        return network
+
+    def description(network: Network) -> tuple:
+        return network.levels, network.fusions, network.describe, network.rely
+
+    # These come first in a checkpoint, so that it may hold another detection branch.
+    known = eqx.tree_deserialise_leaves(config.description_from, description(network))
+    return eqx.tree_at(description, network, known)
 
 
 def _scenes(

@@ -64,20 +64,36 @@ def strongest(
 
 
 def refine(heat: Float[Array, "8 8 r c"], pixels: Float[Array, "k 2"]) -> Float[Array, "k 2"]:
-    """Moves each pixel (u, v) to the centroid of the heat in the 3 x 3 around it.
+    """Moves each pixel (u, v) to the centroid of the heat in the 5 x 5 around it.
 
     Differentiable with respect to the heat.
     """
+    around, steps = _window(heat, pixels, _REACH)
+    total = jnp.maximum(around.sum((1, 2)), 1e-12)
+    shift_u = around.sum(1) @ steps / total
+    shift_v = around.sum(2) @ steps / total
+    return pixels + jnp.stack([shift_u, shift_v], -1)
+
+
+def hottest_near(
+    heat: Float[Array, "8 8 r c"], pixels: Float[Array, "k 2"], *, reach: int
+) -> Float[Array, "k 2"]:
+    """The pixel (u, v) of the highest heat up to `reach` pixels to each side of each of whole pixels."""
+    around, steps = _window(heat, pixels, reach)
+    row, column = jnp.divmod(around.reshape(len(pixels), -1).argmax(1), len(steps))
+    return pixels + jnp.stack([steps[column], steps[row]], -1)
+
+
+def _window(
+    heat: Float[Array, "8 8 r c"], pixels: Float[Array, "k 2"], reach: int
+) -> tuple[Float[Array, "k w w"], Float[Array, " w"]]:
+    """The heat around whole pixels, zero beyond the image, and its places from -reach to reach."""
     rows, columns = heat.shape[2:]
-    steps = jnp.arange(-1, 2)
+    steps = jnp.arange(-reach, reach + 1)
     u, v = pixels.astype(jnp.int32).T
     v, u = v[:, None, None] + steps[:, None], u[:, None, None] + steps
     inside = (v >= 0) & (v < CELL * rows) & (u >= 0) & (u < CELL * columns)
-    around = jnp.where(inside, _look_up(heat, v, u), 0.0)
-    total = jnp.maximum(around.sum((1, 2)), 1e-12)
-    shift_u = (around[:, :, 2] - around[:, :, 0]).sum(1) / total
-    shift_v = (around[:, 2] - around[:, 0]).sum(1) / total
-    return pixels + jnp.stack([shift_u, shift_v], -1)
+    return jnp.where(inside, _look_up(heat, v, u), 0.0), steps.astype(heat.dtype)
 
 
 def _look_up(x: Float[Array, "8 8 r c"], v: Int[Array, "*v"], u: Int[Array, "*u"]) -> Float[Array, "..."]:

@@ -1,17 +1,19 @@
 """Losses that SuperFeats is trained with, each over one pair of images or one image.
 
 `heat_loss`, `contrastive_keypoint_loss` and `hinge_descriptor_loss` are those of SFGS-SLAM (Wang and Deng,
-2025), section 3.1. `dual_softmax_loss` is the descriptor loss of LoFTR and XFeat; `imitation_loss` and
-`reliability_loss` take a teacher's outputs as labels.
+2025), section 3.1. `reprojection_loss` is after ALIKE (Zhao et al., 2022), `dual_softmax_loss` that of LoFTR
+and XFeat; `imitation_loss` and `reliability_loss` take a teacher's outputs as labels.
 """
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from sfgs_jax.superfeats.detection import heat_map, hottest_near, local_maxima, refine, strongest
 from sfgs_jax.superfeats.network import CELL
 
 _TINY = 1e-6
+_MIN_HEAT = 0.01
 
 
 def heat_loss(
@@ -58,6 +60,51 @@ def contrastive_keypoint_loss(
     d = jnp.sqrt(squared + _TINY)
     loss = jnp.where(same, squared, jnp.square(jnp.maximum(margin - d, 0)))
     return _weighted_mean(loss, weights)
+
+
+def reprojection_loss(
+    logits_a: Float[Array, "h w 65"],
+    logits_b: Float[Array, "h w 65"],
+    H_b_a: Float[Array, "3 3"],
+    hidden_a: Bool[Array, "v u"],
+    hidden_b: Bool[Array, "v u"],
+    *,
+    count: int = 384,
+    reach: int = 3,
+    ceiling: float = 4.0,
+) -> Float[Array, ""]:
+    """Mean distance, in pixels, from the first image's keypoints, carried over, to those found there.
+
+    Keypoints are found and refined as `extract` does it: in the first image the strongest, in the second the
+    hottest pixel within `reach` of where each should be. The outermost cells are left out.
+
+    Args:
+        logits_a: of the image whose keypoints are carried.
+        logits_b: of the other.
+        H_b_a: takes pixels (u, v) of the first to the second.
+        hidden_a: pixels where the first doesn't show what the homography is of.
+        hidden_b: those of the second.
+        count: keypoints of the first image.
+        reach: pixels.
+        ceiling: what a keypoint counts at most: one that isn't found again pulls at nothing.
+    """
+    heat_a, heat_b = heat_map(logits_a), heat_map(logits_b)
+    height, width = hidden_a.shape
+    inner = jnp.zeros(heat_a.shape[2:], bool).at[1:-1, 1:-1].set(True)
+    scores = jnp.where(local_maxima(heat_a) & (heat_a > _MIN_HEAT) & inner, heat_a, 0.0)
+    found, pixels = strongest(jax.lax.stop_gradient(scores), count=count)
+    carried = jnp.column_stack([refine(heat_a, pixels), jnp.ones(count)]) @ H_b_a.T
+    carried = carried[:, :2] / carried[:, 2:]
+
+    nearest = jnp.rint(jax.lax.stop_gradient(carried))
+    last = jnp.array([width, height]) - CELL - 1
+    used = (found > 0) & ((nearest >= CELL) & (nearest <= last)).all(1)
+    nearest = jnp.clip(nearest, CELL, last)
+    for hidden, (u, v) in ((hidden_a, pixels.astype(int).T), (hidden_b, nearest.astype(int).T)):
+        used &= ~hidden[v, u]
+    there = refine(heat_b, hottest_near(heat_b, nearest, reach=reach))
+    distance = jnp.sqrt(jnp.square(there - carried).sum(1) + _TINY)
+    return _weighted_mean(jnp.minimum(distance, ceiling), used.astype(distance.dtype))
 
 
 def hinge_descriptor_loss(

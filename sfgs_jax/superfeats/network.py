@@ -155,7 +155,10 @@ def branches(
     x16 = network.fusions[0](x16, x32, apply)
     x8 = network.fusions[1](x8, x16, apply)
 
-    cells = _space_to_depth(images[..., None], CELL)
+    # Cut half a cell off the grid, so that the first layer's 2x2 see 4 pixels beyond each cell: most pixels
+    # of a cell lie too near its border to be told from their neighbours by the cell alone.
+    half = (CELL // 2, CELL // 2)
+    cells = _space_to_depth(jnp.pad(images, ((0, 0), half, half))[..., None], CELL)
     for layer in network.cell_layers:
         cells = apply(layer, cells)
     narrow, look_around, widen = network.context
@@ -203,7 +206,7 @@ def _build(config: NetworkConfig, noise: Noise) -> Network:
         fusions=fusions,
         describe=initialise_linear(noise, DESCRIPTOR_SIZE, DESCRIPTOR_SIZE),
         rely=initialise_linear(noise, DESCRIPTOR_SIZE, 1),
-        cell_layers=(layer(1, pixels, pixels), layer(1, pixels, pixels)),
+        cell_layers=(layer(2, pixels, pixels), layer(1, pixels, pixels)),
         context=(
             layer(1, pixels, config.context),
             layer(3, config.context, config.context),

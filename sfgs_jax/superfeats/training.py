@@ -19,6 +19,7 @@ from sfgs_jax.superfeats.losses import (
     imitation_loss,
     keypoint_positions,
     reliability_loss,
+    reprojection_loss,
     unit,
 )
 from sfgs_jax.superfeats.network import CELL, DenseFeatures, Network, forward
@@ -36,6 +37,9 @@ class Batch(eqx.Module):
         labelled: (B, 2, S/8, S/8) weight of each cell's labels.
         points: (B, 2, N, 2) pixels (u, v) of the same points in both views.
         seen: (B, N) which points are seen in both.
+        H_b_a: (B, 3, 3) takes pixels of the first view to the second, where both are of one plane.
+        planar: (B,) 1 where they are, 0 for other pairs.
+        hidden: (B, 2, S, S) pixels that show something else than what the pair is of.
     """
 
     images: Float[Array, "b 2 s s"]
@@ -45,6 +49,9 @@ class Batch(eqx.Module):
     labelled: Float[Array, "b 2 c c"]
     points: Float[Array, "b 2 n 2"]
     seen: Bool[Array, "b n"]
+    H_b_a: Float[Array, "b 3 3"]
+    planar: Float[Array, " b"]
+    hidden: Bool[Array, "b 2 s s"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,8 @@ class LossWeights:
     """Weights of the losses; a weight of zero leaves one out."""
 
     heat: float = 1.0
-    contrast: float = 0.2
+    reprojection: float = 3.0
+    contrast: float = 0.0
     hinge: float = 0.0
     dual_softmax: float = 0.5
     imitation: float = 4.0
@@ -87,6 +95,7 @@ def losses(
     per_pair = partial(_mean_over, axes=1)
     figures = {
         "heat": per_view(heat_loss, logits, batch.heat, batch.labelled),
+        "reprojection": _reprojection(logits, batch),
         "contrast": per_pair(_contrast, logits, batch.points, batch.seen),
         "hinge": per_pair(hinge_descriptor_loss, a, b, batch.points[:, 1], batch.points[:, 1], batch.seen),
         "dual_softmax": per_pair(dual_softmax_loss, a, b, batch.seen),
@@ -140,6 +149,16 @@ def _mean_over(function, *arguments: Array, axes: int) -> Float[Array, ""]:
     for _ in range(axes):
         function = jax.vmap(function)
     return function(*arguments).mean()
+
+
+def _reprojection(logits: Float[Array, "b 2 c c 65"], batch: Batch) -> Float[Array, ""]:
+    """Both ways, over the pairs of a plane."""
+    one_way = jax.vmap(reprojection_loss)
+    a, b = logits[:, 0], logits[:, 1]
+    hidden_a, hidden_b = batch.hidden[:, 0], batch.hidden[:, 1]
+    there = one_way(a, b, batch.H_b_a, hidden_a, hidden_b)
+    back = one_way(b, a, jnp.linalg.inv(batch.H_b_a), hidden_b, hidden_a)
+    return ((there + back) * batch.planar).sum() / jnp.maximum(batch.planar.sum(), 1)
 
 
 def _contrast(
