@@ -97,7 +97,7 @@ def reprojection_loss(
     carried = carried[:, :2] / carried[:, 2:]
 
     nearest = jnp.rint(jax.lax.stop_gradient(carried))
-    last = jnp.array([width, height]) - CELL - 1
+    last = jnp.array([width, height], heat_a.dtype) - CELL - 1
     used = (found > 0) & ((nearest >= CELL) & (nearest <= last)).all(1)
     nearest = jnp.clip(nearest, CELL, last)
     for hidden, (u, v) in ((hidden_a, pixels.astype(int).T), (hidden_b, nearest.astype(int).T)):

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -54,6 +55,33 @@ def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monk
         assert a["training"] == b["training"]
         assert np.isfinite(list(a["validation"].values())).all()
     assert (tmp_path / "killed" / "curves.png").stat().st_size > 1000
+
+
+def test_a_run_can_go_on_with_anothers_description_branch(tmp_path, sfgs_data, monkeypatch):
+    monkeypatch.setattr(train_superfeats, "_VALIDATION_BATCHES", 1)
+    first = TrainingConfig(
+        tmp_path / "first",
+        steps=2,
+        pairs=2,
+        warm_up=1,
+        save_every=2,
+        recording_share=0.0,
+        data=sfgs_data / "data",
+        network=SMALL,
+    )
+    train(first)
+    second = replace(
+        first, out=tmp_path / "second", seed=1, description_from=tmp_path / "first" / "checkpoint.eqx"
+    )
+    trained, begun, anew = (
+        train_superfeats._first_network(config)
+        for config in (replace(second, seed=0), second, replace(second, description_from=None))
+    )
+    np.testing.assert_array_equal(begun.describe.weight, trained.describe.weight)
+    np.testing.assert_array_equal(begun.levels[2].reduce.mean, trained.levels[2].reduce.mean)
+    assert np.abs(begun.levels[0].reduce.mean).max() > 0
+    assert not np.array_equal(begun.describe.weight, anew.describe.weight)
+    np.testing.assert_array_equal(begun.detect.weight, anew.detect.weight)
 
 
 def _figures(run: Path) -> list[dict]:

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.superfeats.detection import cut, heat_map, local_maxima, refine, strongest
+from sfgs_jax.superfeats.detection import cut, heat_map, hottest_near, local_maxima, refine, strongest
 
 
 def by_place(image: np.ndarray) -> jax.Array:
@@ -76,11 +76,20 @@ def test_a_peak_between_pixels_is_found_there():
     np.testing.assert_allclose(refined[0], centre, atol=0.05)
 
 
-def test_refining_stays_within_a_pixel_and_finite_at_borders_and_without_heat(rng):
+def test_the_hottest_pixel_nearby_is_found_and_none_beyond_reach_or_image():
+    heat = np.full((16, 24), 0.1, np.float32)
+    heat[4, 9], heat[9, 20], heat[0, 0] = 0.5, 0.9, 0.4
+    pixels = jnp.asarray([[7.0, 6.0], [17.0, 9.0], [16.0, 9.0], [2.0, 1.0], [23.0, 12.0]])
+    found = np.asarray(hottest_near(by_place(heat), pixels, reach=3))
+    np.testing.assert_array_equal(found[[0, 1, 3, 4]], [[9, 4], [20, 9], [0, 0], [20, 9]])
+    assert not np.array_equal(found[2], [20, 9])
+
+
+def test_refining_stays_within_its_window_and_finite_at_borders_and_without_heat(rng):
     pixels = jnp.asarray([[0.0, 0.0], [15.0, 0.0], [15.0, 7.0], [4.0, 4.0]])
     for heat in (np.zeros((8, 16), np.float32), rng.random((8, 16)).astype(np.float32)):
         shift = refine(by_place(heat), pixels) - pixels
-        assert float(jnp.abs(shift).max()) <= 1.0
+        assert float(jnp.abs(shift).max()) <= 2.0
 
 
 def test_the_refined_position_has_the_centroids_gradient():

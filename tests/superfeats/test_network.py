@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax.geometry import InputError
-from sfgs_jax.superfeats.layers import BatchStatistics, fold
+from sfgs_jax.superfeats.layers import BatchStatistics, convolve, fold
 from sfgs_jax.superfeats.network import (
     DESCRIPTOR_SIZE,
     NetworkConfig,
@@ -31,6 +31,15 @@ def test_the_network_is_small(network):
     assert count(folded) <= 300_000
     # Multiply-adds count two operations each, and everything else is counted too.
     assert 0.3e9 < cost["flops"] / 2 < 0.9e9
+
+
+def test_a_convolution_of_2x2_lies_between_its_inputs(rng):
+    weight = jnp.asarray(rng.normal(size=(2, 2, 3, 5)), jnp.float32)
+    x = jnp.asarray(rng.normal(size=(2, 4, 6, 3)), jnp.float32)
+    expected = sum(
+        x[:, row : row + 3, column : column + 5] @ weight[row, column] for row in (0, 1) for column in (0, 1)
+    )
+    np.testing.assert_allclose(convolve(weight, x), expected, rtol=1e-4, atol=1e-5)
 
 
 def test_outputs_have_a_cell_for_each_8x8_pixels(network):

@@ -11,6 +11,7 @@ from sfgs_jax.superfeats.losses import (
     imitation_loss,
     keypoint_positions,
     reliability_loss,
+    reprojection_loss,
     unit,
 )
 
@@ -51,6 +52,56 @@ def test_contrastive_loss_has_a_finite_gradient_at_distance_zero():
     zero = jnp.zeros((1, 2))
     gradient = jax.grad(contrastive_keypoint_loss)(zero, zero, jnp.asarray([False]), jnp.ones(1))
     assert bool(jnp.isfinite(gradient).all())
+
+
+def peaks(*pixels: tuple[int, int]) -> jax.Array:
+    """Logits of an image of 5 x 6 cells with sharp keypoints at the given (u, v)."""
+    logits = jnp.zeros((5, 6, 65)).at[..., -1].set(10.0)
+    for u, v in pixels:
+        logits = logits.at[v // 8, u // 8, 8 * (v % 8) + u % 8].set(20.0)
+    return logits
+
+
+SEEN = jnp.zeros((40, 48), bool)
+
+
+def shifted(u: float, v: float) -> jax.Array:
+    return jnp.eye(3).at[:2, 2].set(jnp.asarray([u, v]))
+
+
+def test_reprojection_loss_is_the_mean_distance_in_pixels():
+    a, b = peaks((12, 13), (25, 20)), peaks((15, 12), (28, 21))
+    for move, expected in [((3.0, 0.0), 1.0), ((3.0, -1.0), (0 + 2) / 2), ((2.6, 0.0), np.hypot(0.4, 1))]:
+        loss = reprojection_loss(a, b, shifted(*move), SEEN, SEEN)
+        assert float(loss) == pytest.approx(expected, abs=5e-3)
+
+
+def test_reprojection_loss_counts_what_is_lost_as_its_ceiling_and_not_what_is_hidden_or_outside():
+    a = peaks((12, 13), (25, 20))
+    whole = reprojection_loss(a, peaks((12, 13)), jnp.eye(3), SEEN, SEEN, ceiling=2.0)
+    assert float(whole) == pytest.approx((0 + 2) / 2, abs=5e-3)
+    hidden = SEEN.at[18:23, 23:28].set(True)
+    for both in [(hidden, SEEN), (SEEN, hidden)]:
+        loss = reprojection_loss(a, peaks((12, 13)), jnp.eye(3), *both)
+        assert float(loss) == pytest.approx(0, abs=5e-3)
+    assert float(reprojection_loss(a, a, shifted(100.0, 0.0), SEEN, SEEN)) == 0
+
+
+def test_reprojection_loss_draws_the_second_images_heat_towards_the_place(rng):
+    a = peaks((20, 20))
+    logits = peaks((20, 20)).at[2, 2].set(0.0)
+    logits = logits.at[2, 2, 8 * 4 + 5].set(3.0)  # the hottest is one pixel to the right
+
+    def loss(logits):
+        return reprojection_loss(a, logits, jnp.eye(3), SEEN, SEEN)
+
+    gradient = jax.grad(loss)(logits)
+    assert bool(jnp.isfinite(gradient).all())
+    assert float(loss(logits - 0.5 * gradient)) < float(loss(logits))
+    blank = jax.grad(lambda logits: reprojection_loss(logits, a, jnp.eye(3), SEEN, SEEN))(
+        jnp.zeros((5, 6, 65))
+    )
+    assert bool(jnp.isfinite(blank).all())
 
 
 def test_hinge_loss_has_the_papers_constants():

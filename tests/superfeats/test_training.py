@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import fields, replace
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +42,9 @@ def made_up_batch(rng: np.random.Generator, pairs: int) -> Batch:
         labelled=jnp.ones((pairs, 2, CELLS, CELLS)),
         points=jnp.tile(np.stack([points, points + np.float32([8, 0])]), (pairs, 1, 1, 1)),
         seen=jnp.ones((pairs, len(points)), bool),
+        H_b_a=jnp.tile(jnp.eye(3).at[0, 2].set(8.0), (pairs, 1, 1)),
+        planar=jnp.ones(pairs),
+        hidden=jnp.zeros((pairs, 2, SIZE, SIZE), bool),
     )
 
 
@@ -64,11 +68,24 @@ def test_training_on_one_batch_learns_it(rng):
 
 @pytest.mark.parametrize("name", ["hinge", "contrast"])
 def test_a_loss_left_out_is_still_measured_but_not_followed(name, rng):
-    off = {"heat": 0, "contrast": 0, "hinge": 0, "dual_softmax": 0, "imitation": 0, "reliability": 0}
+    off = [each.name for each in fields(LossWeights)]
     weights = LossWeights(**{other: float(other == name) for other in off})
     _, history = run(made_up_batch(rng, 2), 2, weights)
     assert history[0]["loss"] == pytest.approx(history[0][name], rel=1e-6)
     assert set(history[0]) == {"loss", "accuracy", *off}
+
+
+def test_keypoints_of_pairs_that_share_no_plane_are_not_reprojected(rng):
+    batch = made_up_batch(rng, 2)
+    network = fold(initialise_network(jax.random.key(0), SMALL))
+
+    def reprojection(planar, shift) -> float:
+        changed = replace(batch, planar=jnp.asarray(planar), H_b_a=batch.H_b_a.at[1, 0, 2].add(shift))
+        return float(evaluate(network, changed, weights=LossWeights())["reprojection"])
+
+    assert reprojection([1.0, 0.0], 0.0) == reprojection([1.0, 0.0], 3.0)
+    assert reprojection([1.0, 1.0], 0.0) != reprojection([1.0, 1.0], 3.0)
+    assert reprojection([0.0, 0.0], 0.0) == 0
 
 
 def test_statistics_follow_the_batches(rng):
