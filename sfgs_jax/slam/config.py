@@ -65,6 +65,8 @@ class TrackingConfig:
     """GICP has failed where keypoints give a motion that differs by more, metres or radians."""
     max_coasting: int = 15
     """Frames in a row that may rest on the motion model in a direction that the surface leaves free."""
+    max_coasted: float = 0.1
+    """... and how far that model may carry them before the next is lost, metres or radians."""
     keyframe_inlier_fraction: float = 0.6
     """A new keyframe is taken when the share of matched points falls below this."""
     keyframe_translation: float = 0.3

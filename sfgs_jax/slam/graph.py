@@ -12,7 +12,7 @@ from sfgs_jax.factor_graph import FactorGraph, RelativePose, SolverConfig, Statu
 from sfgs_jax.geometry import Kernel, se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.nodes import Edge, Keyframe
-from sfgs_jax.slam.registration import Carrier, Registration, register
+from sfgs_jax.slam.registration import Carrier, Registration, extent, register
 from sfgs_jax.slam.state import SlamState
 
 SOLVER = SolverConfig(max_iterations=15)
@@ -67,8 +67,7 @@ def register_pair(state: SlamState, target: int, source: int) -> tuple[Registrat
     a, b = state.keyframes[target], state.keyframes[source]
     guess = se3.compose(se3.inverse(a.T_world_cam), b.T_world_cam)
     found = register(b.observation, a.observation, guess, state.camera, state.config.tracking)
-    off = np.asarray(se3.log(se3.compose(se3.inverse(guess), found.T_target_source)))
-    return found, float(max(np.linalg.norm(off[:3]), np.linalg.norm(off[3:])))
+    return found, extent(se3.compose(se3.inverse(guess), found.T_target_source))
 
 
 def is_edge(state: SlamState, found: Registration, correction: float) -> bool:

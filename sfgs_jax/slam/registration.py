@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
@@ -119,6 +120,12 @@ def register(
         result.rmse,
         free,
     )
+
+
+def extent(T: jaxlie.SE3) -> float:
+    """How far a motion goes: metres or radians, the larger."""
+    moved = np.asarray(se3.log(T))
+    return float(max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])))
 
 
 def _held(result: gicp.RegistrationResult, guess: jaxlie.SE3) -> jaxlie.SE3:

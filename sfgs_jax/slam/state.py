@@ -74,6 +74,7 @@ class SlamState(eqx.Module):
         last: what that frame showed, if it could be a keyframe and is none: a bridge to a frame that shares
             too little with the reference.
         num_coasting: frames in a row that the motion model had a part in.
+        coasted: how far it moved the camera over these, metres or radians, the larger.
         log: where the tracked frames were.
         num_frames: frames seen.
         num_lost: frames that were not found.
@@ -94,6 +95,7 @@ class SlamState(eqx.Module):
     T_previous_current: jaxlie.SE3
     last: Observation | None
     num_coasting: int
+    coasted: float
     log: FrameLog
     num_frames: int
     num_lost: int
@@ -162,6 +164,7 @@ def init(camera: Camera, config: SlamConfig | None = None) -> SlamState:
         T_previous_current=se3.identity(),
         last=None,
         num_coasting=0,
+        coasted=0.0,
         log=empty,
         num_frames=0,
         num_lost=0,

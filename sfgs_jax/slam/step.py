@@ -17,7 +17,7 @@ from sfgs_jax.slam.loops import believe, is_candidate, loop_pairs, with_candidat
 from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, view_of, warm_up
 from sfgs_jax.slam.nodes import Keyframe
 from sfgs_jax.slam.observation import Observation, observe
-from sfgs_jax.slam.registration import Carrier, register
+from sfgs_jax.slam.registration import Carrier, extent, register
 from sfgs_jax.slam.state import MapState, SlamState, View
 from sfgs_jax.slam.tracking import Tracking, has_left, motion_since, relocalise, track
 from sfgs_jax.slam.window import optimise_window, share_landmarks
@@ -218,12 +218,13 @@ def _placed(state: SlamState, tracking: Tracking) -> SlamState:
     if tracking.carrier == Carrier.NONE or tracking.found is None:
         return replace(state, T_previous_current=se3.identity())
     T = tracking.found.T_target_source
-    coasting = state.num_coasting + 1 if tracking.carrier == Carrier.COASTING else 0
+    coasting, coasted = 0, 0.0
     if tracking.relocalised:
         motion = se3.identity()
-    elif coasting:
+    elif tracking.carrier == Carrier.COASTING:
         # Nothing new was learnt of it.
         motion = state.T_previous_current
+        coasting, coasted = state.num_coasting + 1, state.coasted + extent(motion)
     else:
         motion = motion_since(state, tracking.reference, T)
     return replace(
@@ -232,6 +233,7 @@ def _placed(state: SlamState, tracking: Tracking) -> SlamState:
         T_reference_cam=T,
         T_previous_current=motion,
         num_coasting=coasting,
+        coasted=coasted,
     )
 
 

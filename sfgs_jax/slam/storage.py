@@ -172,6 +172,6 @@ def _template(facts: dict[str, Any], config: SlamConfig) -> SlamState:
 
 def _like(value: np.ndarray, kind: Any) -> Any:
     """A leaf as what it was: Python numbers are static to compiled programs, arrays are not."""
-    if isinstance(kind, bool | int):
+    if isinstance(kind, bool | int | float):
         return type(kind)(value)
     return np.array(value) if isinstance(kind, np.ndarray) else jnp.asarray(value)

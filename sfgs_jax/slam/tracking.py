@@ -60,11 +60,10 @@ def has_left(found: Registration, config: SlamConfig) -> bool:
 
 
 def _believed(found: Registration, state: SlamState) -> Carrier:
-    """The carrier, unless the motion model has had a part for too long."""
-    carrier = Carrier(int(found.carrier))
-    if carrier == Carrier.COASTING and state.num_coasting >= state.config.tracking.max_coasting:
-        return Carrier.NONE
-    return carrier
+    """The carrier, unless the motion model has had a part for too long or too far."""
+    carrier, config = Carrier(int(found.carrier)), state.config.tracking
+    too_long = state.num_coasting >= config.max_coasting or state.coasted > config.max_coasted
+    return Carrier.NONE if carrier == Carrier.COASTING and too_long else carrier
 
 
 def relocalise(state: SlamState, observation: Observation) -> Tracking | None:

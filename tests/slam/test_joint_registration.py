@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax import Camera, Frame
+from sfgs_jax import Camera, Frame, slam
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam import Carrier, observe, register
 from sfgs_jax.slam.matched_motion import motion_from_keypoints
@@ -77,6 +77,26 @@ def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, tracking):
     assert int(found.carrier) == Carrier.COASTING
     assert int(found.free) == 3
     np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], [0.02, 0.01, 0.05], atol=0.004)
+
+
+@pytest.mark.parametrize(("speed", "coasted"), [(0.03, 4), (0.06, 2)])
+def test_where_the_wall_turns_bare_the_motion_model_carries_so_far_and_no_farther(
+    rng, config, tracking, speed, coasted
+):
+    image = texture(rng)
+    mapping = replace(config.mapping, max_width=64, steps_per_frame=0, steps_per_view=0)
+    state = slam.init(CAMERA, replace(config, tracking=tracking, mapping=mapping))
+    carriers, found = [], []
+    for number in range(20):
+        frame = wall(image, (speed * number, 0, 0), bare=number > 4)
+        state, info = slam.step(state, frame)
+        carriers.append(info.carrier)
+        found.append(float(info.T_world_cam.translation()[0]))
+    assert carriers[1:5] == [Carrier.BOTH] * 4
+    assert carriers[5 : 5 + coasted] == [Carrier.COASTING] * coasted
+    assert set(carriers[5 + coasted :]) == {Carrier.NONE}
+    # At constant speed the model is right.
+    np.testing.assert_allclose(found[: 5 + coasted], speed * np.arange(5 + coasted), atol=0.02)
 
 
 def test_noise_on_a_bare_wall_is_no_keypoint(rng, look):
