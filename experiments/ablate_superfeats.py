@@ -3,9 +3,9 @@
     python -m experiments.ablate_superfeats runs/ablation --steps 2000
 
 Every variant sees the same batches from the same first weights. Judged are held-out views (the share of
-points whose nearest descriptor is the right one) and relative poses on RedKitchen's frames 300 to 599, from
-mutual nearest neighbours without a floor, since cosines of different losses differ in scale. Killed and
-started again, it goes on where it stopped.
+points whose nearest descriptor is the right one), homographies of held-out photographs, and relative poses on
+RedKitchen's frames 300 to 599, from mutual nearest neighbours without a floor, since cosines of different
+losses differ in scale. Killed and started again, it goes on where it stopped.
 """
 
 import json
@@ -19,9 +19,17 @@ import numpy as np
 import tyro
 
 from experiments.extractors import Extractor
-from experiments.feature_matching import REDKITCHEN, of_recording
-from experiments.matching_tables import POSE_COLUMNS, TOTAL, pose_table, print_table
+from experiments.feature_matching import REDKITCHEN, of_recording, unseen_photos
+from experiments.matching_tables import (
+    PLANE_COLUMNS,
+    POSE_COLUMNS,
+    TOTAL,
+    plane_table,
+    pose_table,
+    print_table,
+)
 from experiments.train_superfeats import TrainingConfig, train
+from experiments.warped_photos import warped_photos
 from sfgs_jax import superfeats
 from sfgs_jax.datasets import ReaderOptions
 from sfgs_jax.superfeats.training import LossWeights
@@ -38,6 +46,7 @@ VARIANTS = {
     "without reprojection": replace(ALL, reprojection=0.0),
 }
 KEYPOINTS = 2048
+PHOTOS = 40
 
 
 def trained(name: str, out: Path, steps: int) -> tuple[Extractor, dict[str, float]]:
@@ -70,13 +79,16 @@ def main(out: tyro.conf.Positional[Path], steps: int = 2000, seeds: int = 5) -> 
         seeds: how often RANSAC runs on each pair.
     """
     runs = [trained(name, out, steps) for name in VARIANTS]
+    extractors = [extractor for extractor, _ in runs]
     samples = of_recording(REDKITCHEN, ReaderOptions(start=300, end=600))
-    poses = pose_table(samples, [extractor for extractor, _ in runs], seeds=seeds)
+    poses = pose_table(samples, extractors, seeds=seeds)
     rows = [
         (*row, f"{figures['accuracy']:.3f}")
         for row, (_, figures) in zip((row for row in poses if row[2] == TOTAL), runs, strict=True)
     ]
     print_table(f"{steps} steps of each variant", (*POSE_COLUMNS, "nearest is right"), rows)
+    pairs = warped_photos(unseen_photos(), count=PHOTOS, seed=0)
+    print_table(f"Homographies, {PHOTOS} photographs", PLANE_COLUMNS, plane_table(pairs, extractors))
 
 
 if __name__ == "__main__":

@@ -3,10 +3,11 @@
     python -m experiments.feature_matching [--weights PATH] [--extractors NAME ...] [--recording DIR ...]
 
 Without options: RedKitchen's frames 300 to 599, fr1_rpy, the ScanNet pairs and changed photographs below
-SFGS_DATA, by default `../shared`. Of fr1_rpy, whose camera turns but hardly moves, the rotation's error alone
-is taken. Relative poses are by RANSAC over essential matrices at 1 pixel; an accuracy is the share
-of pairs whose larger angular error, of rotation or of the translation's direction, is below the angle. RANSAC
-runs several times on each pair, with the matches in another order; behind ± is the standard deviation.
+SFGS_DATA, by default `../shared`; of its photographs those that SuperFeats was not trained on. Of fr1_rpy,
+whose camera turns but hardly moves, the rotation's error alone is taken. Relative poses are by RANSAC over
+essential matrices at 1 pixel; an accuracy is the share of pairs whose larger angular error, of rotation or of
+the translation's direction, is below the angle. RANSAC runs several times on each pair, with the matches in
+another order; behind ± is the standard deviation.
 Poses and focal lengths are the readers', so those of 7-Scenes are its colour camera's. The tables are in
 Markdown; experiments/results.md keeps the last ones. Needs onnxruntime and onnx.
 """
@@ -30,8 +31,10 @@ from experiments.matching_tables import (
     pose_table,
     print_table,
 )
+from experiments.superfeats_pairs import held_out
 from experiments.warped_photos import WarpedPhoto, warped_photos
 from sfgs_jax.datasets import (
+    Photos,
     PosePair,
     ReaderOptions,
     RecordingPair,
@@ -95,6 +98,11 @@ def of_hpatches(folder: str) -> Iterator[WarpedPhoto]:
         yield WarpedPhoto(pair.group, a, b, H_b_a)
 
 
+def unseen_photos() -> Photos:
+    """The photographs that `train_superfeats` leaves out."""
+    return Photos(tuple(held_out(sorted(read_photos(DATA / "photos").paths))))
+
+
 def main() -> None:
     """Print the tables that were asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -106,7 +114,7 @@ def main() -> None:
     parser.add_argument("--recording", nargs="+", metavar="DIR", help="instead of RedKitchen 300 to 599")
     parser.add_argument("--scannet", metavar="DIR", default=str(DATA / "scannet_pairs"))
     parser.add_argument("--megadepth", metavar="DIR", help="MegaDepth-1500")
-    parser.add_argument("--photos", metavar="DIR", default=str(DATA / "photos" / "bsds"))
+    parser.add_argument("--photos", metavar="DIR", help="instead of those that no training saw")
     parser.add_argument("--num-photos", type=int, default=60)
     parser.add_argument("--hpatches", metavar="DIR")
     arguments = parser.parse_args()
@@ -139,7 +147,7 @@ def main() -> None:
             pairs = read_megadepth_1500(arguments.megadepth)
             poses(f"MegaDepth at {MEGADEPTH_PIXELS} pixels", of_photographs(pairs, MEGADEPTH_PIXELS))
     if "planes" in arguments.tables:
-        photos = read_photos(arguments.photos)
+        photos = read_photos(arguments.photos) if arguments.photos else unseen_photos()
         planes("changed photographs", warped_photos(photos, count=arguments.num_photos, seed=0))
         if arguments.hpatches:
             planes("HPatches", of_hpatches(arguments.hpatches))

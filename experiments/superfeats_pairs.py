@@ -91,6 +91,11 @@ class Photos:
         return Drawn(grey, grey, lambda pixels: (pixels, np.ones(len(pixels), bool)), ViewConfig(), True)
 
 
+def held_out(photos: Sequence[Path]) -> Sequence[Path]:
+    """Those of a sorted set of photographs that are for judging, not for training."""
+    return photos[::20]
+
+
 class RecordingPairs:
     """Frames of an RGB-D recording with known poses, a few to many frames apart."""
 

@@ -8,6 +8,7 @@ never stopped. Several JAX devices share each batch.
 
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -22,7 +23,7 @@ import tyro
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from rich.progress import track
 
-from experiments.superfeats_pairs import Photos, RecordingPairs, Scenes, batches
+from experiments.superfeats_pairs import Photos, RecordingPairs, Scenes, batches, held_out
 from experiments.xfeat import XFeat, default_weights
 from sfgs_jax.datasets import read_photos
 from sfgs_jax.geometry import InputError
@@ -98,9 +99,8 @@ def train(config: TrainingConfig) -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     teacher = XFeat(threads=1)
     photos = sorted(read_photos(config.photos or config.data / "photos", layout=config.layout).paths)
-    validation_photos, training_photos = photos[::20], [p for i, p in enumerate(photos) if i % 20]
-    validation = _take(_scenes(config, validation_photos, _VALIDATION_FRAMES), teacher, config)
-    scenes = _scenes(config, training_photos, _TRAINING_FRAMES)
+    validation = _take(_scenes(config, held_out(photos), _VALIDATION_FRAMES), teacher, config)
+    scenes = _scenes(config, [p for p in photos if p not in held_out(photos)], _TRAINING_FRAMES)
 
     optimiser = _optimiser(config.learning_rate, config.warm_up, config.steps)
     state = initial_state(_first_network(config), optimiser)
@@ -156,7 +156,7 @@ def _first_network(config: TrainingConfig) -> Network:
 
 
 def _scenes(
-    config: TrainingConfig, photos: list[Path], frames: tuple[int, int]
+    config: TrainingConfig, photos: Sequence[Path], frames: tuple[int, int]
 ) -> list[tuple[float, Scenes]]:
     scenes: list[tuple[float, Scenes]] = [(1 - config.recording_share, Photos(photos))]
     if config.recording_share > 0:
