@@ -21,8 +21,8 @@ from sfgs_jax.geometry import Camera, FrameError, InputError, register_depth, se
 _FRAMES_PER_SECOND = 30.0
 _UNITS_PER_METRE = 1000.0
 # The set comes without a calibration. These are the Kinect's nominal focal lengths, and where its images tell
-# that the cameras are (experiments/seven_scenes_calibration.py). The generic extrinsics that later work on the
-# set takes (DSAC*, ACE) put depth two to eleven pixels beside its colour.
+# that the cameras are (experiments/seven_scenes_calibration.py). The generic extrinsics that later work on
+# the set takes (DSAC*, ACE) put depth two to eleven pixels beside its colour.
 _COLOUR = Intrinsics(525.0, 525.0, 320.0, 240.0)
 _DEPTH = Intrinsics(585.0, 585.0, 320.0, 240.0)
 _T_COLOUR_DEPTH = np.array(
