@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from sfgs_jax.gicp import GicpConfig
+from sfgs_jax.superfeats import MIN_SIMILARITY
 
 
 @dataclass(frozen=True)
@@ -14,7 +15,7 @@ class FeaturesConfig:
     """Which keypoints; `none` leaves tracking to GICP alone."""
     max_keypoints: int = 1024
     """Slots for the keypoints of a frame."""
-    min_similarity: float = 0.82
+    min_similarity: float = MIN_SIMILARITY
     """Cosine that the descriptors of a match must exceed."""
     min_contrast: float = 0.03
     """A keypoint counts where the grey values of the cells around it differ by at least this, of 1: on a

@@ -1,0 +1,68 @@
+"""How many right and wrong matches a floor for descriptors' similarity keeps, for SuperFeats and XFeat.
+
+    python -m experiments.similarity_floor
+
+Photographs that no training saw, against views of them from elsewhere, as they are and with motion blur. A
+mutual nearest neighbour is right if it is within 3 pixels of where the homography puts it. `MIN_SIMILARITY`
+keeps as many of SuperFeats' right ones in blurred views as XFeat's own floor does of XFeat's.
+"""
+
+import cv2
+import jax
+import numpy as np
+
+from experiments.extractors import make_extractor
+from experiments.feature_matching import PLANE_KEYPOINTS, unseen_photos
+from experiments.matching_tables import print_table
+from experiments.warped_photos import warped_photos
+from sfgs_jax.evaluation import correct_matches
+from sfgs_jax.superfeats import match
+
+FLOORS = (0.7, 0.72, 0.75, 0.78, 0.8, 0.82, 0.85)
+BLUR = (5, 15)
+"""Lengths of motion blur, pixels."""
+
+
+def blurred(rng: np.random.Generator, image: np.ndarray) -> np.ndarray:
+    """The image after a motion in a random direction."""
+    length = int(rng.integers(*BLUR, endpoint=True))
+    kernel = np.zeros((length, length), np.float32)
+    angle, middle = rng.uniform(0, np.pi), (length - 1) / 2
+    reach = middle * np.array([np.cos(angle), np.sin(angle)])
+    start, end = np.rint(middle - reach).astype(int), np.rint(middle + reach).astype(int)
+    cv2.line(kernel, start.tolist(), end.tolist(), 1)
+    return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()))
+
+
+def main() -> None:
+    """Print the table."""
+    rng = np.random.default_rng(0)
+    extractors = [
+        make_extractor(n, max_keypoints=PLANE_KEYPOINTS, weights=None) for n in ("superfeats", "xfeat")
+    ]
+    found: dict[tuple[str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
+    for pair in warped_photos(unseen_photos(), count=60, seed=0):
+        if pair.group != "viewpoint":
+            continue
+        for view, image_b in (("sharp", pair.image_b), ("blurred", blurred(rng, pair.image_b))):
+            for extractor in extractors:
+                a, b = (jax.device_get(extractor.extract(image)) for image in (pair.image_a, image_b))
+                matches = jax.device_get(match(a, b, min_similarity=0.0))
+                points_a = np.asarray(a.keypoints, np.float64)[matches.valid]
+                points_b = np.asarray(b.keypoints, np.float64)[matches.index_b[matches.valid]]
+                right = correct_matches(points_a, points_b, pair.H_b_a)
+                found.setdefault((extractor.name, view), []).append(
+                    (matches.similarity[matches.valid], right)
+                )
+    rows = []
+    for (name, view), parts in found.items():
+        similarity, right = (np.concatenate(values) for values in zip(*parts, strict=True))
+        for kind, chosen in (("right", similarity[right]), ("wrong", similarity[~right])):
+            kept = (f"{100 * np.mean(chosen > floor):.1f}" for floor in FLOORS)
+            rows.append((name, view, kind, str(len(chosen)), *kept))
+    columns = ("", "view", "matches", "all", *(f"above {floor:g} %" for floor in FLOORS))
+    print_table("Mutual nearest neighbours kept by a floor", columns, rows)
+
+
+if __name__ == "__main__":
+    main()
