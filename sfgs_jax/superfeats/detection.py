@@ -10,6 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.superfeats.network import CELL
 
+_MARGIN = CELL // 2
+"""Pixels that the network's first layer sees beyond each cell."""
 _REACH = 2
 """Pixels to each side over which a keypoint must be the maximum: a window of 5 x 5."""
 
@@ -32,6 +34,18 @@ def cut(heat: Float[Array, "8 8 r c"], height: int, width: int) -> Float[Array, 
         inside = CELL * jnp.arange(columns) + places[:, None] < width
         heat = jnp.where(inside[:, None], heat, 0.0)
     return heat
+
+
+def away_from_border(heat: Float[Array, "8 8 r c"], height: int, width: int) -> Bool[Array, "8 8 r c"]:
+    """Pixels whose surroundings, as far as the network's first layer sees them, lie in the image.
+
+    At the border it sees where the image ends, which is no point of what the image shows.
+    """
+    places, (rows, columns) = jnp.arange(CELL), heat.shape[2:]
+    v = CELL * jnp.arange(rows) + places[:, None]
+    u = CELL * jnp.arange(columns) + places[:, None]
+    inside_v, inside_u = ((x >= _MARGIN) & (x < side - _MARGIN) for x, side in ((v, height), (u, width)))
+    return inside_v[:, None, :, None] & inside_u[:, None]
 
 
 def local_maxima(heat: Float[Array, "8 8 r c"]) -> Bool[Array, "8 8 r c"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Num
 
 from sfgs_jax.geometry import InputError
-from sfgs_jax.superfeats.detection import cut, heat_map, local_maxima, refine, strongest
+from sfgs_jax.superfeats.detection import away_from_border, cut, heat_map, local_maxima, refine, strongest
 from sfgs_jax.superfeats.features import Features
 from sfgs_jax.superfeats.losses import unit
 from sfgs_jax.superfeats.network import STRIDE, Network, branches, linear, normalise
@@ -25,9 +25,10 @@ def extract(
 ) -> Features:
     """Finds keypoints and describes them: SuperFeats, SFGS-SLAM (Wang and Deng, 2025), section 3.1.
 
-    Heat map by softmax, maxima of 5 x 5 windows, the strongest of them, their centroids, and descriptors
-    interpolated there. Differentiable with respect to weights and image through positions, scores and
-    descriptors; which pixels are chosen is not. Compiled once for each image size and `max_keypoints`.
+    Heat map by softmax, maxima of 5 x 5 windows at least 4 pixels from the border, the strongest of them,
+    their centroids, and descriptors interpolated there. Differentiable with respect to weights and image
+    through positions, scores and descriptors; which pixels are chosen is not. Compiled once for each image
+    size and `max_keypoints`.
 
     Args:
         params: a folded network: `load_weights()`, or `fold` of a network in training.
@@ -76,7 +77,7 @@ def _extract(
     logits, cells = branches(params, jnp.pad(normalise(grey[None])[0], padding)[None])
 
     heat = cut(heat_map(logits[0]), height, width)
-    chosen = local_maxima(heat) & (heat > min_heat)
+    chosen = local_maxima(heat) & (heat > min_heat) & away_from_border(heat, height, width)
     reliability = jax.nn.sigmoid(linear(params.rely, cells[0])[..., 0])
     scores, pixels = strongest(jnp.where(chosen, heat * reliability, 0.0), count=max_keypoints)
     valid = scores > 0

@@ -2,7 +2,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.superfeats.detection import cut, heat_map, hottest_near, local_maxima, refine, strongest
+from sfgs_jax.superfeats.detection import (
+    away_from_border,
+    cut,
+    heat_map,
+    hottest_near,
+    local_maxima,
+    refine,
+    strongest,
+)
 
 
 def by_place(image: np.ndarray) -> jax.Array:
@@ -40,6 +48,14 @@ def test_beyond_the_image_there_is_no_heat(rng):
         expected = np.zeros_like(image)
         expected[:height, :width] = image[:height, :width]
         np.testing.assert_array_equal(as_image(cut(by_place(image), height, width)), expected)
+
+
+def test_pixels_away_from_the_border_are_told_in_images_that_do_not_fill_their_cells():
+    heat = by_place(np.zeros((24, 32), np.float32))
+    for height, width in [(24, 32), (21, 27), (17, 32), (7, 9)]:
+        expected = np.zeros((24, 32), bool)
+        expected[4 : height - 4, 4 : width - 4] = True
+        np.testing.assert_array_equal(as_image(away_from_border(heat, height, width)), expected)
 
 
 def test_a_maximum_is_not_exceeded_within_two_pixels(rng):

@@ -62,9 +62,13 @@ def test_bytes_are_read_like_floats(params, rng):
         np.testing.assert_array_equal(integers.keypoints, floats.keypoints)
 
 
-def test_what_lies_beyond_the_image_brings_no_keypoints(params, rng):
-    features = extract(params, blocks(rng, 40, 40), max_keypoints=512)
-    assert float(features.keypoints.max()) <= 40
+def test_the_border_and_what_lies_beyond_bring_no_keypoints(params, rng):
+    features = extract(params, blocks(rng, 40, 44), max_keypoints=512)
+    keypoints = np.asarray(features.keypoints)[np.asarray(features.valid)]
+    assert len(keypoints) > 10
+    # A maximum is 4 pixels inside, and its centroid at most 2 from it.
+    assert np.all(keypoints > 1.9)
+    assert np.all(keypoints < [41.1, 37.1])
 
 
 def test_a_threshold_leaves_out_the_weak_without_compiling_again(params, rng):
