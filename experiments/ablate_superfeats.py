@@ -40,7 +40,6 @@ VARIANTS = {
     "as shipped": ALL,
     "hinge for dual softmax": replace(ALL, dual_softmax=0.0, hinge=4.0),
     "without imitation": replace(ALL, imitation=0.0),
-    "hinge, without imitation": replace(ALL, dual_softmax=0.0, hinge=4.0, imitation=0.0),
     "without reliability": replace(ALL, reliability=0.0),
     "contrast for reprojection": replace(ALL, reprojection=0.0, contrast=0.2),
     "without reprojection": replace(ALL, reprojection=0.0),
