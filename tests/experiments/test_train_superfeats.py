@@ -19,18 +19,23 @@ def _promotion_as_optax_needs_it():
         yield
 
 
+def short_run(out: Path, sfgs_data: Path, steps: int) -> TrainingConfig:
+    """A small network on photographs alone."""
+    return TrainingConfig(
+        out,
+        steps=steps,
+        pairs=2,
+        warm_up=1,
+        save_every=2,
+        recording_share=0.0,
+        data=sfgs_data / "data",
+        network=SMALL,
+    )
+
+
 def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monkeypatch):
     def config(name: str) -> TrainingConfig:
-        return TrainingConfig(
-            tmp_path / name,
-            steps=4,
-            pairs=2,
-            warm_up=1,
-            save_every=2,
-            recording_share=0.0,
-            data=sfgs_data / "data",
-            network=SMALL,
-        )
+        return short_run(tmp_path / name, sfgs_data, steps=4)
 
     monkeypatch.setattr(train_superfeats, "_VALIDATION_BATCHES", 1)
     train(config("whole"))
@@ -59,16 +64,7 @@ def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monk
 
 def test_a_run_can_go_on_with_anothers_description_branch(tmp_path, sfgs_data, monkeypatch):
     monkeypatch.setattr(train_superfeats, "_VALIDATION_BATCHES", 1)
-    first = TrainingConfig(
-        tmp_path / "first",
-        steps=2,
-        pairs=2,
-        warm_up=1,
-        save_every=2,
-        recording_share=0.0,
-        data=sfgs_data / "data",
-        network=SMALL,
-    )
+    first = short_run(tmp_path / "first", sfgs_data, steps=2)
     train(first)
     second = replace(
         first, out=tmp_path / "second", seed=1, description_from=tmp_path / "first" / "checkpoint.eqx"
