@@ -7,7 +7,6 @@ mutual nearest neighbour is right if it is within 3 pixels of where the homograp
 keeps as many of SuperFeats' right ones in blurred views as XFeat's own floor does of XFeat's.
 """
 
-import cv2
 import jax
 import numpy as np
 
@@ -17,21 +16,11 @@ from experiments.matching_tables import print_table
 from experiments.warped_photos import warped_photos
 from sfgs_jax.evaluation import correct_matches
 from sfgs_jax.superfeats import match
+from sfgs_jax.superfeats.augmentation import motion_blur
 
 FLOORS = (0.7, 0.72, 0.75, 0.78, 0.8, 0.82, 0.85)
 BLUR = (5, 15)
 """Lengths of motion blur, pixels."""
-
-
-def blurred(rng: np.random.Generator, image: np.ndarray) -> np.ndarray:
-    """The image after a motion in a random direction."""
-    length = int(rng.integers(*BLUR, endpoint=True))
-    kernel = np.zeros((length, length), np.float32)
-    angle, middle = rng.uniform(0, np.pi), (length - 1) / 2
-    reach = middle * np.array([np.cos(angle), np.sin(angle)])
-    start, end = np.rint(middle - reach).astype(int), np.rint(middle + reach).astype(int)
-    cv2.line(kernel, start.tolist(), end.tolist(), 1)
-    return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()))
 
 
 def main() -> None:
@@ -44,7 +33,7 @@ def main() -> None:
     for pair in warped_photos(unseen_photos(), count=60, seed=0):
         if pair.group != "viewpoint":
             continue
-        for view, image_b in (("sharp", pair.image_b), ("blurred", blurred(rng, pair.image_b))):
+        for view, image_b in (("sharp", pair.image_b), ("blurred", motion_blur(rng, pair.image_b, BLUR))):
             for extractor in extractors:
                 a, b = (jax.device_get(extractor.extract(image)) for image in (pair.image_a, image_b))
                 matches = jax.device_get(match(a, b, min_similarity=0.0))

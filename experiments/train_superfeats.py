@@ -99,8 +99,9 @@ def train(config: TrainingConfig) -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     teacher = XFeat(threads=1)
     photos = sorted(read_photos(config.photos or config.data / "photos", layout=config.layout).paths)
-    validation = _take(_scenes(config, held_out(photos), _VALIDATION_FRAMES), teacher, config)
-    scenes = _scenes(config, [p for p in photos if p not in held_out(photos)], _TRAINING_FRAMES)
+    judged = held_out(photos)
+    validation = _take(_scenes(config, judged, _VALIDATION_FRAMES), teacher, config)
+    scenes = _scenes(config, sorted({*photos} - {*judged}), _TRAINING_FRAMES)
 
     optimiser = _optimiser(config.learning_rate, config.warm_up, config.steps)
     state = initial_state(_first_network(config), optimiser)

@@ -72,7 +72,7 @@ def relight(
     if blurred < 0.15 * strength:
         image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.5, 1.5))
     elif blurred < 0.3 * strength:
-        image = _motion_blur(rng, image)
+        image = motion_blur(rng, image)
     noise = np.float32(rng.uniform(0, 0.03) * strength)
     image = image + noise * rng.standard_normal(image.shape, dtype=np.float32)
     return np.clip(image, 0, 1)
@@ -121,8 +121,11 @@ def _shrinkage(H_view_image: Float64[np.ndarray, "3 3"], size: int) -> float:
     return float(np.sqrt(abs(np.linalg.det(np.stack([right - corner, below - corner])))))
 
 
-def _motion_blur(rng: np.random.Generator, image: Float32[np.ndarray, "s s"]) -> Float32[np.ndarray, "s s"]:
-    length = int(rng.integers(3, 10))
+def motion_blur(
+    rng: np.random.Generator, image: Float32[np.ndarray, "*size"], lengths: tuple[int, int] = (3, 9)
+) -> Float32[np.ndarray, "*size"]:
+    """The image after a motion in a random direction, of a length in pixels between the two given."""
+    length = int(rng.integers(*lengths, endpoint=True))
     kernel = np.zeros((length, length), np.float32)
     angle = rng.uniform(0, np.pi)
     reach = (length - 1) / 2 * np.array([np.cos(angle), np.sin(angle)])

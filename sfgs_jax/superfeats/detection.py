@@ -10,6 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.superfeats.network import CELL
 
+MIN_HEAT = 0.01
+"""Probability of a keypoint at its pixel below which there is none."""
 _MARGIN = CELL // 2
 """Pixels that the network's first layer sees beyond each cell."""
 _REACH = 2

@@ -9,7 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float, Num
 
 from sfgs_jax.geometry import InputError
-from sfgs_jax.superfeats.detection import away_from_border, cut, heat_map, local_maxima, refine, strongest
+from sfgs_jax.superfeats.detection import (
+    MIN_HEAT,
+    away_from_border,
+    cut,
+    heat_map,
+    local_maxima,
+    refine,
+    strongest,
+)
 from sfgs_jax.superfeats.features import Features
 from sfgs_jax.superfeats.losses import unit
 from sfgs_jax.superfeats.network import STRIDE, Network, branches, linear, normalise
@@ -21,7 +29,7 @@ def extract(
     image: Num[Array | np.ndarray, "h w"] | Num[Array | np.ndarray, "h w 3"],
     *,
     max_keypoints: int = 1024,
-    min_heat: float = 0.01,
+    min_heat: float = MIN_HEAT,
 ) -> Features:
     """Finds keypoints and describes them: SuperFeats, SFGS-SLAM (Wang and Deng, 2025), section 3.1.
 

@@ -9,11 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sfgs_jax.superfeats.detection import heat_map, hottest_near, local_maxima, refine, strongest
+from sfgs_jax.superfeats.detection import MIN_HEAT, heat_map, hottest_near, local_maxima, refine, strongest
 from sfgs_jax.superfeats.network import CELL
 
 _TINY = 1e-6
-_MIN_HEAT = 0.01
 
 
 def heat_loss(
@@ -91,7 +90,7 @@ def reprojection_loss(
     heat_a, heat_b = heat_map(logits_a), heat_map(logits_b)
     height, width = hidden_a.shape
     inner = jnp.zeros(heat_a.shape[2:], bool).at[1:-1, 1:-1].set(True)
-    scores = jnp.where(local_maxima(heat_a) & (heat_a > _MIN_HEAT) & inner, heat_a, 0.0)
+    scores = jnp.where(local_maxima(heat_a) & (heat_a > MIN_HEAT) & inner, heat_a, 0.0)
     found, pixels = strongest(jax.lax.stop_gradient(scores), count=count)
     carried = jnp.column_stack([refine(heat_a, pixels), jnp.ones(count)]) @ H_b_a.T
     carried = carried[:, :2] / carried[:, 2:]
