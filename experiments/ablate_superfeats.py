@@ -2,10 +2,11 @@
 
     python -m experiments.ablate_superfeats runs/ablation --steps 2000
 
-Every variant sees the same batches from the same first weights. Judged are held-out views (the share of
-points whose nearest descriptor is the right one), homographies of held-out photographs, and relative poses on
-RedKitchen's frames 300 to 599, from mutual nearest neighbours without a floor, since cosines of different
-losses differ in scale. Killed and started again, it goes on where it stopped.
+Every variant sees the same batches from the same first weights. With `--description-from`, the description
+branch of a run goes on, and what the detection branch's losses bring shows sooner. Judged are held-out views
+(the share of points whose nearest descriptor is the right one), homographies of held-out photographs, and
+relative poses on RedKitchen's frames 300 to 599, from mutual nearest neighbours without a floor, since
+cosines of different losses differ in scale. Killed and started again, it goes on where it stopped.
 """
 
 import json
@@ -32,6 +33,7 @@ from experiments.train_superfeats import TrainingConfig, train
 from experiments.warped_photos import warped_photos
 from sfgs_jax import superfeats
 from sfgs_jax.datasets import ReaderOptions
+from sfgs_jax.geometry import InputError
 from sfgs_jax.superfeats.training import LossWeights
 
 ALL = LossWeights()
@@ -48,11 +50,13 @@ KEYPOINTS = 2048
 PHOTOS = 40
 
 
-def trained(name: str, out: Path, steps: int) -> tuple[Extractor, dict[str, float]]:
+def trained(
+    name: str, out: Path, steps: int, description_from: Path | None
+) -> tuple[Extractor, dict[str, float]]:
     """A variant's extractor, and its last figures on held-out views."""
     weights = VARIANTS[name]
-    folder = out / name.replace(",", "").replace(" ", "-")
-    train(TrainingConfig(folder, steps=steps, weights=weights))
+    folder = out / name.replace(" ", "-")
+    train(TrainingConfig(folder, steps=steps, description_from=description_from, weights=weights))
     params = superfeats.load_weights(folder / "weights.safetensors")
     if weights.reliability == 0:
         # An untrained head would weigh keypoints at random.
@@ -69,15 +73,28 @@ def _zeros(layer: eqx.Module) -> eqx.Module:
     return jax.tree.map(jnp.zeros_like, layer)
 
 
-def main(out: tyro.conf.Positional[Path], steps: int = 2000, seeds: int = 5) -> None:
+def main(
+    out: tyro.conf.Positional[Path],
+    steps: int = 2000,
+    seeds: int = 5,
+    variants: tuple[str, ...] = tuple(VARIANTS),
+    description_from: Path | None = None,
+) -> None:
     """Trains what isn't trained yet and prints the table.
 
     Args:
         out: folder of the runs.
         steps: of each training.
         seeds: how often RANSAC runs on each pair.
+        variants: those to train and compare, by their names in `VARIANTS`.
+        description_from: checkpoint.eqx of a run whose description branch all of them go on with.
+
+    Raises:
+        InputError: there is no such variant.
     """
-    runs = [trained(name, out, steps) for name in VARIANTS]
+    if unknown := {*variants} - {*VARIANTS}:
+        raise InputError(f"No variant {sorted(unknown)}; there are {list(VARIANTS)}.")
+    runs = [trained(name, out, steps, description_from) for name in variants]
     extractors = [extractor for extractor, _ in runs]
     samples = of_recording(REDKITCHEN, ReaderOptions(start=300, end=600))
     poses = pose_table(samples, extractors, seeds=seeds)

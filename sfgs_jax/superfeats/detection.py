@@ -4,6 +4,8 @@ Maps of pixels are kept by place here: [i, j, r, c] is row i and column j within
 column c of the image. So whole maps of cells follow each other in memory, and all of this runs along vectors.
 """
 
+from functools import reduce
+
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -18,12 +20,11 @@ _REACH = 2
 """Pixels to each side over which a keypoint must be the maximum: a window of 5 x 5."""
 
 
-def heat_map(logits: Float[Array, "r c 65"]) -> Float[Array, "8 8 r c"]:
+def heat_map(logits: Float[Array, "65 r c"]) -> Float[Array, "8 8 r c"]:
     """Probability of a keypoint at each pixel: softmax over a cell's places and its dustbin."""
-    rows, columns, kinds = logits.shape
     # Without the maximum taken off, which softmax does for safety, the exponentials fuse with the rest.
-    weights = jnp.exp(jnp.clip(logits.reshape(-1, kinds).T, -80.0, 80.0))
-    return (weights[:-1] / weights.sum(0)).reshape(CELL, CELL, rows, columns)
+    weights = jnp.exp(jnp.clip(logits, -80.0, 80.0))
+    return (weights[:-1] / weights.sum(0)).reshape(CELL, CELL, *logits.shape[1:])
 
 
 def cut(heat: Float[Array, "8 8 r c"], height: int, width: int) -> Float[Array, "8 8 r c"]:
@@ -118,16 +119,16 @@ def _look_up(x: Float[Array, "8 8 r c"], v: Int[Array, "*v"], u: Int[Array, "*u"
 
 def _running_maximum(x: Float[Array, "8 8 r c"], axis: int) -> Float[Array, "8 8 r c"]:
     """Over two pixels to both sides along image rows (axis 0) or columns (axis 1)."""
-    before = _from_next_cell(lax.slice_in_dim(x, CELL - _REACH, CELL, axis=axis), axis + 2, 1)
-    after = _from_next_cell(lax.slice_in_dim(x, 0, _REACH, axis=axis), axis + 2, -1)
-    joined = lax.concatenate([before, x, after], axis)
-    result = x
-    for start in range(2 * _REACH + 1):
-        result = jnp.maximum(result, lax.slice_in_dim(joined, start, start + CELL, axis=axis))
-    return result
+    cells = axis + 2
+    padded = jnp.pad(x, [(1, 1) if each == cells else (0, 0) for each in range(4)])
 
+    def pixels(place: int) -> Float[Array, "..."]:
+        """Those of one place in their cells, or in the cells before or behind."""
+        step, place = divmod(place, CELL)
+        shifted = lax.slice_in_dim(padded, 1 + step, 1 + step + x.shape[cells], axis=cells)
+        return lax.index_in_dim(shifted, place, axis, keepdims=False)
 
-def _from_next_cell(x: Float[Array, "i j r c"], axis: int, step: int) -> Float[Array, "i j r c"]:
-    """What the cell before (step 1) or behind (step -1) along an axis holds; zeros beyond the image."""
-    no, zero = (0, 0, 0), jnp.zeros((), x.dtype)
-    return lax.pad(x, zero, [(step, -step, 0) if each == axis else no for each in range(4)])
+    reach = range(-_REACH, _REACH + 1)
+    return jnp.stack(
+        [reduce(jnp.maximum, [pixels(place + step) for step in reach]) for place in range(CELL)], axis
+    )

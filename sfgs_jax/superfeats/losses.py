@@ -87,7 +87,7 @@ def reprojection_loss(
         reach: pixels.
         ceiling: what a keypoint counts at most: one that isn't found again pulls at nothing.
     """
-    heat_a, heat_b = heat_map(logits_a), heat_map(logits_b)
+    heat_a, heat_b = (heat_map(jnp.moveaxis(logits, -1, 0)) for logits in (logits_a, logits_b))
     height, width = hidden_a.shape
     inner = jnp.zeros(heat_a.shape[2:], bool).at[1:-1, 1:-1].set(True)
     scores = jnp.where(local_maxima(heat_a) & (heat_a > MIN_HEAT) & inner, heat_a, 0.0)

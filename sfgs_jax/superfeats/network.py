@@ -18,8 +18,10 @@ from sfgs_jax.superfeats.layers import (
     Layer,
     Noise,
     apply_folded,
+    convolve,
     initialise,
     initialise_linear,
+    of_channels,
 )
 
 CELL = 8
@@ -53,13 +55,13 @@ class C2f(eqx.Module):
     bottlenecks: tuple[tuple[Layer, Layer], ...]
     merge: Layer
 
-    def __call__(self, x: Float[Array, "b h w c"], apply: Apply) -> Float[Array, "b h w c"]:
+    def __call__(self, x: Float[Array, "c b h w"], apply: Apply) -> Float[Array, "c b h w"]:
         """Runs the block with `apply` for its layers."""
         x = apply(self.split, x)
-        parts = list(jnp.split(x, 2, axis=-1))
+        parts = list(jnp.split(x, 2))
         for first, second in self.bottlenecks:
             parts.append(parts[-1] + apply(second, apply(first, parts[-1])))
-        return apply(self.merge, jnp.concatenate(parts, axis=-1))
+        return apply(self.merge, jnp.concatenate(parts))
 
 
 class Level(eqx.Module):
@@ -76,8 +78,8 @@ class Fusion(eqx.Module):
     merge: Layer
 
     def __call__(
-        self, fine: Float[Array, "b h w c"], coarse: Float[Array, "b h2 w2 d"], apply: Apply
-    ) -> Float[Array, "b h w o"]:
+        self, fine: Float[Array, "c b h w"], coarse: Float[Array, "d b h2 w2"], apply: Apply
+    ) -> Float[Array, "o b h w"]:
         """Merges the two levels with `apply` for its layers."""
         coarse = apply(self.project, coarse)
         return apply(self.merge, fine + _double(coarse))
@@ -133,7 +135,7 @@ def forward(network: Network, images: Float[Array, "b h w"], apply: Apply = appl
     """
     logits, cells = branches(network, images, apply)
     return DenseFeatures(
-        logits=logits,
+        logits=jnp.moveaxis(logits, 0, -1),
         descriptors=linear(network.describe, cells),
         reliability=linear(network.rely, cells)[..., 0],
     )
@@ -141,12 +143,13 @@ def forward(network: Network, images: Float[Array, "b h w"], apply: Apply = appl
 
 def branches(
     network: Network, images: Float[Array, "b h w"], apply: Apply = apply_folded
-) -> tuple[Float[Array, "b h//8 w//8 65"], Float[Array, "b h//8 w//8 64"]]:
-    """Logits of keypoints, and that of which `describe` and `rely` make descriptors and reliability.
+) -> tuple[Float[Array, "65 b h//8 w//8"], Float[Array, "b h//8 w//8 64"]]:
+    """Logits of keypoints, channel by channel, and, cell by cell, that of which `describe` and `rely` make
+    descriptors and reliability.
 
     Arguments are those of `forward`.
     """
-    x = _space_to_depth(images[..., None], 4)
+    x = _space_to_depth(images, 4)
     outputs = []
     for index, level in enumerate(network.levels):
         x = level.block(apply(level.reduce, x, stride=1 if index == 0 else 2), apply)
@@ -158,27 +161,28 @@ def branches(
     # Cut half a cell off the grid, so that the first layer's 2x2 see 4 pixels beyond each cell: most pixels
     # of a cell lie too near its border to be told from their neighbours by the cell alone.
     half = (CELL // 2, CELL // 2)
-    cells = _space_to_depth(jnp.pad(images, ((0, 0), half, half))[..., None], CELL)
+    cells = _space_to_depth(jnp.pad(images, ((0, 0), half, half)), CELL)
     for layer in network.cell_layers:
         cells = apply(layer, cells)
     narrow, look_around, widen = network.context
     cells = cells + apply(widen, apply(look_around, apply(narrow, cells)))
-    return linear(network.detect, cells), x8
+    logits = convolve(network.detect.weight, cells) + of_channels(network.detect.bias)
+    return logits, jnp.moveaxis(x8, 0, -1)
 
 
 def linear(layer: Convolution, x: Float[Array, "*n i"]) -> Float[Array, "*n o"]:
-    """A 1x1 convolution, of a map or of single cells."""
-    return x @ layer.weight[0, 0] + layer.bias
+    """A 1x1 convolution of cells."""
+    return x @ layer.weight[:, 0, 0].T + layer.bias
 
 
-def _space_to_depth(x: Float[Array, "b h w c"], size: int) -> Float[Array, "b h2 w2 d"]:
-    b, h, w, c = x.shape
-    x = x.reshape(b, h // size, size, w // size, size, c)
-    return x.transpose(0, 1, 3, 2, 4, 5).reshape(b, h // size, w // size, size * size * c)
+def _space_to_depth(images: Float[Array, "b h w"], size: int) -> Float[Array, "d b h2 w2"]:
+    b, h, w = images.shape
+    x = images.reshape(b, h // size, size, w // size, size).transpose(2, 4, 0, 1, 3)
+    return x.reshape(size * size, b, h // size, w // size)
 
 
-def _double(x: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 c"]:
-    return jnp.repeat(jnp.repeat(x, 2, axis=1), 2, axis=2)
+def _double(x: Float[Array, "c b h w"]) -> Float[Array, "c b h2 w2"]:
+    return jnp.repeat(jnp.repeat(x, 2, axis=2), 2, axis=3)
 
 
 def _build(config: NetworkConfig, noise: Noise) -> Network:

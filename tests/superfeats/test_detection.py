@@ -26,17 +26,17 @@ def as_image(x: jax.Array) -> np.ndarray:
 
 
 def test_the_heat_map_is_a_softmax_laid_out_by_places(rng):
-    logits = rng.normal(size=(2, 3, 65)).astype(np.float32)
+    logits = rng.normal(size=(65, 2, 3)).astype(np.float32)
     heat = as_image(heat_map(jnp.asarray(logits)))
-    expected = jax.nn.softmax(logits)
+    expected = jax.nn.softmax(logits, axis=0)
     for row in range(16):
         for column in range(24):
             place = 8 * (row % 8) + column % 8
-            np.testing.assert_allclose(heat[row, column], expected[row // 8, column // 8, place], rtol=1e-5)
+            np.testing.assert_allclose(heat[row, column], expected[place, row // 8, column // 8], rtol=1e-5)
 
 
 def test_extreme_logits_stay_finite():
-    logits = jnp.full((1, 1, 65), -1e4).at[0, 0, 3].set(1e4)
+    logits = jnp.full((65, 1, 1), -1e4).at[3].set(1e4)
     heat = heat_map(logits)
     assert float(heat[0, 3, 0, 0]) == 1.0
     assert bool(jnp.isfinite(heat).all())

@@ -34,12 +34,24 @@ def test_the_network_is_small(network):
 
 
 def test_a_convolution_of_2x2_lies_between_its_inputs(rng):
-    weight = jnp.asarray(rng.normal(size=(2, 2, 3, 5)), jnp.float32)
-    x = jnp.asarray(rng.normal(size=(2, 4, 6, 3)), jnp.float32)
+    weight = jnp.asarray(rng.normal(size=(5, 2, 2, 3)), jnp.float32)
+    x = jnp.asarray(rng.normal(size=(3, 2, 4, 6)), jnp.float32)
     expected = sum(
-        x[:, row : row + 3, column : column + 5] @ weight[row, column] for row in (0, 1) for column in (0, 1)
+        jnp.tensordot(weight[:, row, column], x[:, :, row : row + 3, column : column + 5], 1)
+        for row in (0, 1)
+        for column in (0, 1)
     )
     np.testing.assert_allclose(convolve(weight, x), expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(("size", "stride"), [(1, 1), (3, 1), (3, 2)])
+def test_convolutions_are_those_of_the_library(rng, size, stride):
+    weight = jnp.asarray(rng.normal(size=(5, size, size, 3)), jnp.float32)
+    x = jnp.asarray(rng.normal(size=(3, 2, 8, 6)), jnp.float32)
+    expected = jax.lax.conv_general_dilated(
+        x, weight, (stride, stride), [(size // 2, size // 2)] * 2, dimension_numbers=("CNHW", "OHWI", "CNHW")
+    )
+    np.testing.assert_allclose(convolve(weight, x, stride=stride), expected, rtol=1e-4, atol=1e-5)
 
 
 def test_outputs_have_a_cell_for_each_8x8_pixels(network):
