@@ -15,7 +15,7 @@ from sfgs_jax.slam.nodes import Edge, Keyframe
 from sfgs_jax.slam.registration import Carrier, Registration, extent, register
 from sfgs_jax.slam.state import SlamState
 
-SOLVER = SolverConfig(max_iterations=15)
+_SOLVER = SolverConfig(max_iterations=15)
 
 
 def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
@@ -100,7 +100,7 @@ def optimise_poses(state: SlamState) -> SlamState:
     free = np.zeros(room, bool)
     free[1 : len(state.keyframes)] = True
     graph = FactorGraph(factors, num_poses=room, free_poses=free, linear_solver="dense")
-    solution = solve(graph, Values(jaxlie.SE3(padded_poses(state.keyframe_poses, room))), config=SOLVER)
+    solution = solve(graph, Values(jaxlie.SE3(padded_poses(state.keyframe_poses, room))), config=_SOLVER)
     if int(solution.status) in (Status.DIVERGED, Status.SINGULAR):
         return state
     return with_poses(state, np.asarray(solution.values.poses.wxyz_xyz)[: len(state.keyframes)])
