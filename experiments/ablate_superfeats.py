@@ -11,6 +11,7 @@ cosines of different losses differ in scale. Killed and started again, it goes o
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -20,7 +21,7 @@ import numpy as np
 import tyro
 
 from experiments.extractors import Extractor
-from experiments.feature_matching import REDKITCHEN, of_recording, unseen_photos
+from experiments.feature_matching import PLANE_KEYPOINTS, REDKITCHEN, of_recording, unseen_photos
 from experiments.matching_tables import (
     PLANE_COLUMNS,
     POSE_COLUMNS,
@@ -34,6 +35,7 @@ from experiments.warped_photos import warped_photos
 from sfgs_jax import superfeats
 from sfgs_jax.datasets import ReaderOptions
 from sfgs_jax.geometry import InputError
+from sfgs_jax.superfeats.network import Network
 from sfgs_jax.superfeats.training import LossWeights
 
 ALL = LossWeights()
@@ -50,27 +52,35 @@ KEYPOINTS = 2048
 PHOTOS = 40
 
 
-def trained(
-    name: str, out: Path, steps: int, description_from: Path | None
-) -> tuple[Extractor, dict[str, float]]:
-    """A variant's extractor, and its last figures on held-out views."""
+def trained(name: str, out: Path, steps: int, description_from: Path | None) -> tuple[Network, float]:
+    """A variant's network, and its share of held-out points whose nearest descriptor is the right one."""
     weights = VARIANTS[name]
     folder = out / name.replace(" ", "-")
     train(TrainingConfig(folder, steps=steps, description_from=description_from, weights=weights))
     params = superfeats.load_weights(folder / "weights.safetensors")
     if weights.reliability == 0:
         # An untrained head would weigh keypoints at random.
-        params = eqx.tree_at(lambda network: network.rely, params, replace_fn=_zeros)
+        params = by_heat_alone(params)
     figures = json.loads((folder / "log.jsonl").read_text().splitlines()[-1])["validation"]
+    return params, figures["accuracy"]
 
-    def extract(image: np.ndarray) -> superfeats.Features:
-        return superfeats.extract(params, image, max_keypoints=KEYPOINTS)
 
-    return Extractor(name, extract, 0.0), figures
+def by_heat_alone(params: Network) -> Network:
+    """The network with one reliability everywhere."""
+    return eqx.tree_at(lambda network: network.rely, params, replace_fn=_zeros)
 
 
 def _zeros(layer: eqx.Module) -> eqx.Module:
     return jax.tree.map(jnp.zeros_like, layer)
+
+
+def extractors(networks: dict[str, Network], max_keypoints: int) -> list[Extractor]:
+    """Without a floor for matches."""
+
+    def extract(params: Network, image: np.ndarray) -> superfeats.Features:
+        return superfeats.extract(params, image, max_keypoints=max_keypoints)
+
+    return [Extractor(name, partial(extract, params), 0.0) for name, params in networks.items()]
 
 
 def main(
@@ -94,17 +104,22 @@ def main(
     """
     if unknown := {*variants} - {*VARIANTS}:
         raise InputError(f"No variant {sorted(unknown)}; there are {list(VARIANTS)}.")
-    runs = [trained(name, out, steps, description_from) for name in variants]
-    extractors = [extractor for extractor, _ in runs]
+    networks, accuracies = {}, {}
+    for name in variants:
+        networks[name], accuracies[name] = trained(name, out, steps, description_from)
+        if VARIANTS[name] == ALL:
+            alone = f"{name}, keypoints by heat alone"
+            networks[alone], accuracies[alone] = by_heat_alone(networks[name]), accuracies[name]
     samples = of_recording(REDKITCHEN, ReaderOptions(start=300, end=600))
-    poses = pose_table(samples, extractors, seeds=seeds)
     rows = [
-        (*row, f"{figures['accuracy']:.3f}")
-        for row, (_, figures) in zip((row for row in poses if row[2] == TOTAL), runs, strict=True)
+        (*row, f"{accuracies[row[0]]:.3f}")
+        for row in pose_table(samples, extractors(networks, KEYPOINTS), seeds=seeds)
+        if row[2] == TOTAL
     ]
     print_table(f"{steps} steps of each variant", (*POSE_COLUMNS, "nearest is right"), rows)
     pairs = warped_photos(unseen_photos(), count=PHOTOS, seed=0)
-    print_table(f"Homographies, {PHOTOS} photographs", PLANE_COLUMNS, plane_table(pairs, extractors))
+    planes = plane_table(pairs, extractors(networks, PLANE_KEYPOINTS))
+    print_table(f"Homographies, {PHOTOS} photographs", PLANE_COLUMNS, planes)
 
 
 if __name__ == "__main__":

@@ -61,8 +61,7 @@ def measure(name: str, folder: Path, options: list[str]) -> tuple[str, ...]:
     seconds = time.perf_counter() - start
     metrics = json.loads((folder / "metrics.json").read_text())
     frames, tracking = metrics["frames"], metrics["stages"]["tracking"]
-    stages = [metrics["stages"][name] for name in ("tracking", "graph", "view", "mapping")]
-    first = sum(stage["first_ms"] for stage in stages) / 1e3
+    first = metrics["stages"]["frame"]["first_ms"] / 1e3
     return (
         name,
         str(frames["total"]),
@@ -72,7 +71,7 @@ def measure(name: str, folder: Path, options: list[str]) -> tuple[str, ...]:
         f"{metrics['psnr']['all']:.2f}",
         f"{metrics['ssim']['all']:.3f}",
         f"{tracking['median_ms']:.0f} / {tracking['p95_ms']:.0f}",
-        f"{(frames['total'] - 1) / (sum(s['total_s'] for s in stages) - first):.1f}",
+        f"{metrics['fps']['frames']:.1f}",
         f"{first:.1f}",
         f"{seconds:.0f}",
         f"{metrics['memory']['peak_mb']:.0f}",

@@ -73,6 +73,8 @@ def test_writes_every_output(finished):
     assert metrics["ate"]["rmse_m"] < 0.03
     assert metrics["psnr"]["all"] > 18
     assert {"tracking", "graph", "view", "mapping"} <= set(metrics["stages"])
+    # All of the run has the compilation and the refinement besides.
+    assert metrics["fps"]["frames"] > metrics["fps"]["overall"] > 0
     assert metrics["memory"]["peak_mb"] > 50
 
 
