@@ -14,6 +14,9 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
@@ -41,7 +44,7 @@ VARIANTS = {
     "as shipped": ALL,
     "hinge for dual softmax": replace(ALL, dual_softmax=0.0, hinge=4.0),
     "without imitation": replace(ALL, imitation=0.0),
-    "with reliability": replace(ALL, reliability=0.2),
+    "without reliability": replace(ALL, reliability=0.0),
     "contrast for reprojection": replace(ALL, reprojection=0.0, contrast=0.2),
     "without reprojection": replace(ALL, reprojection=0.0),
 }
@@ -51,11 +54,24 @@ PHOTOS = 40
 
 def trained(name: str, out: Path, steps: int, description_from: Path | None) -> tuple[Network, float]:
     """A variant's network, and its share of held-out points whose nearest descriptor is the right one."""
+    weights = VARIANTS[name]
     folder = out / name.replace(" ", "-")
-    train(TrainingConfig(folder, steps=steps, description_from=description_from, weights=VARIANTS[name]))
+    train(TrainingConfig(folder, steps=steps, description_from=description_from, weights=weights))
     params = superfeats.load_weights(folder / "weights.safetensors")
+    if weights.reliability == 0:
+        # An untrained head would weigh keypoints at random.
+        params = by_heat_alone(params)
     figures = json.loads((folder / "log.jsonl").read_text().splitlines()[-1])["validation"]
     return params, figures["accuracy"]
+
+
+def by_heat_alone(params: Network) -> Network:
+    """The network with one reliability everywhere."""
+    return eqx.tree_at(lambda network: network.rely, params, replace_fn=_zeros)
+
+
+def _zeros(layer: eqx.Module) -> eqx.Module:
+    return jax.tree.map(jnp.zeros_like, layer)
 
 
 def extractors(networks: dict[str, Network], max_keypoints: int) -> list[Extractor]:
@@ -91,6 +107,9 @@ def main(
     networks, accuracies = {}, {}
     for name in variants:
         networks[name], accuracies[name] = trained(name, out, steps, description_from)
+        if VARIANTS[name] == ALL:
+            alone = f"{name}, keypoints by heat alone"
+            networks[alone], accuracies[alone] = by_heat_alone(networks[name]), accuracies[name]
     samples = of_recording(REDKITCHEN, ReaderOptions(start=300, end=600))
     rows = [
         (*row, f"{accuracies[row[0]]:.3f}")

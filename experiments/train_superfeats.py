@@ -149,7 +149,7 @@ def _first_network(config: TrainingConfig) -> Network:
         return network
 
     def description(network: Network) -> tuple:
-        return network.levels, network.fusions, network.describe
+        return network.levels, network.fusions, network.describe, network.rely
 
     # These come first in a checkpoint, so that it may hold another detection branch.
     known = eqx.tree_deserialise_leaves(config.description_from, description(network))

@@ -32,9 +32,6 @@ STRIDE = 32
 
 DESCRIPTOR_SIZE = 64
 
-_CERTAIN = 10.0
-"""Logit of a probability that is 1 but for 5e-5."""
-
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -212,8 +209,7 @@ def _build(config: NetworkConfig, noise: Noise) -> Network:
         levels=levels,
         fusions=fusions,
         describe=initialise_linear(noise, DESCRIPTOR_SIZE, DESCRIPTOR_SIZE),
-        # Until reliability is trained, heat alone ranks keypoints.
-        rely=Convolution(jnp.zeros((1, 1, 1, DESCRIPTOR_SIZE)), jnp.full(1, _CERTAIN)),
+        rely=initialise_linear(noise, DESCRIPTOR_SIZE, 1),
         cell_layers=(layer(2, pixels, pixels), layer(1, pixels, pixels)),
         context=(
             layer(1, pixels, config.context),

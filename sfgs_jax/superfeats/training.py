@@ -64,7 +64,7 @@ class LossWeights:
     hinge: float = 0.0
     dual_softmax: float = 0.5
     imitation: float = 4.0
-    reliability: float = 0.0
+    reliability: float = 0.2
 
 
 class TrainingState(eqx.Module):
