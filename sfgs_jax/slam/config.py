@@ -68,6 +68,9 @@ class TrackingConfig:
     """Frames in a row that may rest on the motion model in a direction that the surface leaves free."""
     max_coasted: float = 0.1
     """... and how far that model may carry them before the next is lost, metres or radians."""
+    max_lost: int = 30
+    """Lost frames in a row after which the surface alone finds nothing again: surfaces fit in many places,
+    and by then the camera may be anywhere. Without keypoints there is nothing else to go by, and no limit."""
     keyframe_inlier_fraction: float = 0.6
     """A new keyframe is taken when the share of matched points falls below this."""
     keyframe_translation: float = 0.3

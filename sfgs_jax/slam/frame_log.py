@@ -36,6 +36,11 @@ class FrameLog(eqx.Module):
             np.concatenate([self.motions, np.asarray(motion.wxyz_xyz)[None]]),
         )
 
+    @property
+    def newest(self) -> int:
+        """Number of the last frame; -1 before the first."""
+        return int(self.numbers[-1]) if len(self.numbers) else -1
+
     def positions(self, numbers: list[int]) -> Int[np.ndarray, " k"]:
         """Where in the log the frames of these ascending numbers are."""
         return np.flatnonzero(np.isin(self.numbers, numbers))

@@ -210,7 +210,7 @@ def _with_last_as_keyframe(state: SlamState, last: Observation) -> SlamState:
     target = state.keyframes[state.reference].observation
     found = register(last, target, state.T_reference_cam, state.camera, state.config.tracking)
     tracking = Tracking(state.reference, found, Carrier(int(found.carrier)), False)
-    return _next_keyframe(state, last, tracking, int(state.log.numbers[-1]))
+    return _next_keyframe(state, last, tracking, state.log.newest)
 
 
 def _placed(state: SlamState, tracking: Tracking) -> SlamState:

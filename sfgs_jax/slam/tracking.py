@@ -60,10 +60,13 @@ def has_left(found: Registration, config: SlamConfig) -> bool:
 
 
 def _believed(found: Registration, state: SlamState) -> Carrier:
-    """The carrier, unless the motion model has had a part for too long or too far."""
+    """The carrier, unless the motion model has had a part for too long or too far, or is too old."""
     carrier, config = Carrier(int(found.carrier)), state.config.tracking
     too_long = state.num_coasting >= config.max_coasting or state.coasted > config.max_coasted
-    return Carrier.NONE if carrier == Carrier.COASTING and too_long else carrier
+    lost = state.num_frames - 2 - state.log.newest
+    too_old = lost > config.max_lost and config.features.kind != "none"
+    unaided = carrier in (Carrier.SURFACE, Carrier.COASTING)
+    return Carrier.NONE if (carrier == Carrier.COASTING and too_long) or (unaided and too_old) else carrier
 
 
 def relocalise(state: SlamState, observation: Observation) -> Tracking | None:

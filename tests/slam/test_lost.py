@@ -9,6 +9,7 @@ from sfgs_jax import Frame, slam
 from sfgs_jax.datasets import SyntheticRecording
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam import FeaturesConfig
+from sfgs_jax.slam.registration import Carrier
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +56,21 @@ def test_black_frames_are_lost_and_the_rest_is_found(long_room, settings):
     assert all(info.tracked for info in after)
     assert max(error(long_room, n, i) for n, i in zip(range(15, 24, 3), after, strict=True)) < 0.05
     assert len(state.trajectory) == len(before) + len(after)
+
+
+@pytest.mark.parametrize(("num_dark", "found"), [(3, True), (4, False)])
+def test_after_long_enough_the_surface_alone_finds_nothing(long_room, settings, num_dark, found):
+    """Nothing but keypoints, or a frame soon after, tells one place from another of the same shape."""
+    settings = replace(settings, tracking=replace(settings.tracking, max_lost=3))
+    state, _ = follow(slam.init(long_room.camera, settings), long_room, range(0, 12, 3))
+    state, dark = follow(state, long_room, [None] * num_dark)
+    assert not any(info.tracked for info in dark)
+    frame = long_room[9]
+    _, unlit = slam.step(state, Frame(np.zeros_like(frame.rgb), frame.depth, frame.timestamp))
+    assert unlit.tracked == found
+    assert unlit.carrier == (Carrier.SURFACE if found else Carrier.NONE)
+    _, lit = slam.step(state, frame)
+    assert lit.tracked
 
 
 def test_after_a_jump_the_frame_is_found_among_all_keyframes(long_room, settings):
