@@ -16,8 +16,9 @@ import tyro
 from experiments.matching_tables import print_table
 from experiments.recordings import SOURCES
 from sfgs_jax.datasets import ReaderOptions, Recording, open_recording, prefetch
+from sfgs_jax.datasets.writers import depth_units
 from sfgs_jax.evaluation import ate
-from sfgs_jax.geometry import Frame, FrameError, Trajectory
+from sfgs_jax.geometry import FrameError, Trajectory
 
 VOXEL = 3.0 / 512
 """Side of a voxel, metres."""
@@ -35,9 +36,7 @@ COLUMNS = ("recording", "frames", "ATE cm", "frames/s")
 def dense_trajectory(recording: Recording) -> Trajectory:
     """Poses of all frames that can be read."""
     device, camera = o3d.core.Device("CPU:0"), recording.camera
-    K = o3d.core.Tensor.from_numpy(
-        np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]], float)
-    )
+    K = o3d.core.Tensor.from_numpy(np.asarray(camera.matrix(), np.float64))
     seen, shown = (o3d.t.pipelines.slam.Frame(*camera.shape, K, device) for _ in range(2))
     T = np.eye(4)
     model = o3d.t.pipelines.slam.Model(VOXEL, 16, BLOCKS, o3d.core.Tensor.from_numpy(T), device)
@@ -45,7 +44,7 @@ def dense_trajectory(recording: Recording) -> Trajectory:
     for _, frame in prefetch(recording):
         if isinstance(frame, FrameError):
             continue
-        seen.set_data_from_image("depth", _image(depth_units(frame)))
+        seen.set_data_from_image("depth", _image(depth_units(np.asarray(frame.depth), UNITS_PER_METRE)))
         seen.set_data_from_image("color", _image((255 * np.asarray(frame.rgb)).astype(np.uint8)))
         if poses:
             found = model.track_frame_to_model(seen, shown, UNITS_PER_METRE, MAX_DEPTH, MAX_STEP)
@@ -56,11 +55,6 @@ def dense_trajectory(recording: Recording) -> Trajectory:
         poses.append(T)
         timestamps.append(float(frame.timestamp))
     return Trajectory(np.asarray(timestamps), np.asarray(poses))
-
-
-def depth_units(frame: Frame) -> np.ndarray:
-    """(H, W) depth in whole millimetres, 0 where missing."""
-    return np.nan_to_num(UNITS_PER_METRE * np.asarray(frame.depth)).round().astype(np.uint16)
 
 
 def _image(array: np.ndarray) -> o3d.t.geometry.Image:

@@ -103,10 +103,11 @@ def _write_images(
         frame = recording[index]
         rgb = np.round(np.asarray(frame.rgb) * 255).astype(np.uint8)
         _write_image(path / colour_name, cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-        _write_image(path / depth_name, _depth_units(np.asarray(frame.depth), _UNITS_PER_METRE[layout]))
+        _write_image(path / depth_name, depth_units(np.asarray(frame.depth), _UNITS_PER_METRE[layout]))
 
 
-def _depth_units(depth: Float[np.ndarray, "h w"], units_per_metre: float) -> np.ndarray:
+def depth_units(depth: Float[np.ndarray, "h w"], units_per_metre: float) -> np.ndarray:
+    """Depth as whole units in uint16, 0 where missing or too far to be told."""
     units = np.round(depth * units_per_metre)
     return np.where((units > 0) & (units < 65535), units, 0).astype(np.uint16)
 
