@@ -1,7 +1,7 @@
 """Rigid motion from matched points, robust against wrong matches."""
 
 from functools import partial
-from typing import Literal, assert_never
+from typing import Literal, NamedTuple, assert_never
 
 import equinox as eqx
 import jax
@@ -54,6 +54,7 @@ def rigid_from_matches(
     min_inlier_fraction: float = 0.1,
     hypotheses: int = 256,
     key: Key[Array, ""] | None = None,
+    refined: bool = True,
 ) -> RigidResult:
     """Motion R, t that lays matched points on each other: argmin sum w ||R p + t - q||².
 
@@ -65,7 +66,8 @@ def rigid_from_matches(
 
     The robust methods then minimise the sum of Tukey's kernel of the distances over all matches with
     optimistix' Levenberg-Marquardt, from where they are. No number of matches makes a NaN.
-    The motion is differentiable with respect to points and weights, by the implicit function theorem.
+    The motion is differentiable with respect to points and weights, by the implicit function theorem at that
+    minimum.
 
     Args:
         source_points: p, metres; a row that is not finite is no match.
@@ -77,6 +79,8 @@ def rigid_from_matches(
         min_inlier_fraction: least share of the matches that must be inliers for `converged`.
         hypotheses: of `ransac`; static.
         key: random key, for `ransac` only.
+        refined: False leaves out the last minimisation, and with it the derivatives: for a motion that is
+            only a start it takes most of the time; static.
 
     Raises:
         InputError: the lists differ in length, or `ransac` has no key.
@@ -92,11 +96,11 @@ def rigid_from_matches(
     given = jnp.ones(p.shape[0], p.dtype) if weights is None else jnp.asarray(weights)
     rows = (padded(x) for x in (p, q, given, used))
     key = jax.random.key(0) if key is None else key
-    result = _rigid(*rows, key, max_distance, min_inlier_fraction, method, hypotheses)
+    result = _rigid(*rows, key, max_distance, min_inlier_fraction, method, hypotheses, refined)
     return eqx.tree_at(lambda r: r.inliers, result, result.inliers[: p.shape[0]])
 
 
-@partial(jax.jit, static_argnames=("method", "hypotheses"))
+@partial(jax.jit, static_argnames=("method", "hypotheses", "refined"))
 def _rigid(
     p: Float[Array, "N 3"],
     q: Float[Array, "N 3"],
@@ -107,6 +111,7 @@ def _rigid(
     min_fraction: float | Array,
     method: Method,
     hypotheses: int,
+    refined: bool,
 ) -> RigidResult:
     used = valid & jnp.all(jnp.isfinite(p) & jnp.isfinite(q), axis=1) & jnp.isfinite(weights) & (weights > 0)
     p, q = jnp.where(used[:, None], p, 0), jnp.where(used[:, None], q, 0)
@@ -131,7 +136,8 @@ def _rigid(
             T = _fit(fixed, _consensus(fixed, limit, key, hypotheses), limit)
         case _:
             assert_never(method)
-    T = _refined(matches, T, None if method == "least_squares" else limit)
+    if refined:
+        T = _refined(matches, T, None if method == "least_squares" else limit)
 
     square = fixed.squares(lax.stop_gradient(T))
     inliers = used if method == "least_squares" else used & (square < limit**2)
@@ -164,22 +170,37 @@ def _fit(matches: Matches, T: jaxlie.SE3, limit: Float[Array, ""]) -> jaxlie.SE3
     return closed_form(matches.source, matches.target, jnp.where(inliers, matches.weights, 0))[0]
 
 
+class _Graduation(NamedTuple):
+    """Graduated non-convexity after a step: the motion, the weights it is made with, and what comes next."""
+
+    T: jaxlie.SE3
+    robust: Float[Array, " N"]
+    control: Float[Array, ""]
+    step: Int[Array, ""]
+    settled: Bool[Array, ""]
+
+
 def _graduated(matches: Matches, limit: Float[Array, ""]) -> jaxlie.SE3:
     start, _ = closed_form(matches.source, matches.target, matches.weights)
     largest = jnp.max(jnp.where(matches.used, matches.squares(start), 0))
     # Below this the surrogate of the cost is convex; nothing is to be graduated if all are inliers already.
     first = limit**2 / jnp.maximum(2 * largest - limit**2, 1e-6 * limit**2)
 
-    def step(i: Int[Array, ""], state: tuple[jaxlie.SE3, Array]) -> tuple[jaxlie.SE3, Array]:
-        T, control = state
-        square = matches.squares(T)
+    def unfinished(state: _Graduation) -> Bool[Array, ""]:
+        return (state.step < _GRADUATIONS) & ~state.settled
+
+    def step(state: _Graduation) -> _Graduation:
+        square, control = matches.squares(state.T), state.control
         low, high = control / (control + 1) * limit**2, (control + 1) / control * limit**2
         between = limit * jnp.sqrt(control * (control + 1) / jnp.maximum(square, low)) - control
         robust = jnp.where(square <= low, 1, jnp.where(square >= high, 0, between))
         T, _ = closed_form(matches.source, matches.target, matches.weights * robust)
-        return T, jnp.minimum(control * _GRADUATION, 1e6)
+        # Once every match stays in or out, all further steps find this motion: their bands only get narrower.
+        settled = jnp.all((robust == state.robust) & ((square <= low) | (square >= high)))
+        return _Graduation(T, robust, jnp.minimum(control * _GRADUATION, 1e6), state.step + 1, settled)
 
-    return lax.fori_loop(0, _GRADUATIONS, step, (start, first))[0]
+    begin = _Graduation(start, jnp.ones_like(matches.weights), first, jnp.asarray(0), jnp.asarray(False))
+    return lax.while_loop(unfinished, step, begin).T
 
 
 def _consensus(matches: Matches, limit: Float[Array, ""], key: Key[Array, ""], hypotheses: int) -> jaxlie.SE3:

@@ -10,7 +10,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.geometry import Camera, Frame, downscale_depth, downscale_rgb, se3
+from sfgs_jax.geometry import Camera, Frame, clean_depth, downscale_depth, downscale_rgb, se3
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.gaussian_map import GaussianMap, grow, move
 from sfgs_jax.slam.optimisation import optimise, prune
@@ -21,7 +21,6 @@ from sfgs_jax.splatting import RenderConfig, RenderOutput, pair_capacity, render
 
 def view_of(
     frame: Frame,
-    depth: Float[Array, "H W"],
     factor: int,
     keyframe: int,
     T_keyframe_cam: jaxlie.SE3,
@@ -30,14 +29,13 @@ def view_of(
     """A view of a frame at the mapping resolution.
 
     Args:
-        frame: colours are read.
-        depth: metres, 0 where missing.
+        frame: of its depth, what is not finite or not positive counts as missing.
         factor: whole factor by which to reduce the images.
         keyframe: number of the keyframe that the view belongs to.
         T_keyframe_cam: its pose there.
         number: of the frame.
     """
-    rgb, small = _reduce(jnp.asarray(frame.rgb), depth, factor)
+    rgb, small = _reduce(frame.rgb, frame.depth, factor)
     return View(rgb, small, keyframe, T_keyframe_cam, number)
 
 
@@ -147,8 +145,8 @@ def _render(
 
 
 @partial(jax.jit, static_argnums=2)
-def _reduce(rgb: jax.Array, depth: jax.Array, factor: int) -> tuple[jax.Array, jax.Array]:
-    small = downscale_rgb(rgb, factor)
+def _reduce(rgb: Array | np.ndarray, depth: Array | np.ndarray, factor: int) -> tuple[jax.Array, jax.Array]:
+    small, (depth, _) = downscale_rgb(jnp.asarray(rgb), factor), clean_depth(jnp.asarray(depth))
     return jnp.round(small * 255).astype(jnp.uint8), downscale_depth(depth, factor)
 
 

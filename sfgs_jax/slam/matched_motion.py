@@ -84,6 +84,7 @@ def motion_from_keypoints(
         1 / jnp.maximum(source.depth[order], 0.3) ** 2,
         valid=similarity > 0,
         max_distance=config.max_distance,
+        refined=False,
     )
     limit = 2 * config.inlier_pixels
     support, guessed = (
@@ -104,40 +105,37 @@ def motion_from_keypoints(
 
 def _residuals(
     T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig
-) -> tuple[Float[Array, "k 3"], Float[Array, "k 3 6"], Bool[Array, " k"]]:
+) -> tuple[Float[Array, "3 k"], Float[Array, "3 6 k"], Bool[Array, " k"]]:
     """Whitened residuals of T_target_source, their Jacobians in its tangent, and which rows have an image."""
-    points = se3.transform(se3.inverse(T), rows.points)
-    x, y, z = points.T
+    points = se3.transform(se3.inverse(T), rows.points).T
+    x, y, z = points
     front = rows.valid & (z > _NEAREST)
     inverse = 1 / jnp.where(front, z, 1)
     a, b, zero = x * inverse, y * inverse, jnp.zeros_like(x)
     known = rows.depth > 0
+    u, v = rows.pixels.T
     offsets = [
-        (camera.fx * a + camera.cx - rows.pixels[:, 0]) / config.pixel_sigma,
-        (camera.fy * b + camera.cy - rows.pixels[:, 1]) / config.pixel_sigma,
+        (camera.fx * a + camera.cx - u) / config.pixel_sigma,
+        (camera.fy * b + camera.cy - v) / config.pixel_sigma,
         jnp.where(known, inverse - 1 / jnp.where(known, rows.depth, 1), 0) / config.inverse_depth_sigma,
     ]
     slopes = [
-        jnp.stack([camera.fx * inverse, zero, -camera.fx * a * inverse], -1) / config.pixel_sigma,
-        jnp.stack([zero, camera.fy * inverse, -camera.fy * b * inverse], -1) / config.pixel_sigma,
-        jnp.stack([zero, zero, jnp.where(known, -(inverse**2), 0)], -1) / config.inverse_depth_sigma,
+        jnp.stack([camera.fx * inverse, zero, -camera.fx * a * inverse]) / config.pixel_sigma,
+        jnp.stack([zero, camera.fy * inverse, -camera.fy * b * inverse]) / config.pixel_sigma,
+        jnp.stack([zero, zero, jnp.where(known, -(inverse**2), 0)]) / config.inverse_depth_sigma,
     ]
-    slope = jnp.stack(slopes, axis=1)
+    slope = jnp.stack(slopes)
     # A point of the target, in the source, moves by -d_translation + [p] d_rotation.
-    jacobian = jnp.concatenate([-slope, jnp.cross(points[:, None], -slope)], axis=-1)
-    return (
-        jnp.where(front[:, None], jnp.stack(offsets, -1), 0),
-        jnp.where(front[:, None, None], jacobian, 0),
-        front,
-    )
+    jacobian = jnp.concatenate([-slope, jnp.cross(points[None], -slope, axis=1)], axis=1)
+    return jnp.where(front, jnp.stack(offsets), 0), jnp.where(front, jacobian, 0), front
 
 
 def _explained(
     T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig, pixels: float
 ) -> Bool[Array, " k"]:
     residual, _, front = _residuals(T, rows, camera, config)
-    error = jnp.sum(residual[:, :2] ** 2, axis=1)
-    near = jnp.abs(residual[:, 2]) < config.inlier_depth_sigmas
+    error = jnp.sum(residual[:2] ** 2, axis=0)
+    near = jnp.abs(residual[2]) < config.inlier_depth_sigmas
     return front & near & (error < (pixels / config.pixel_sigma) ** 2)
 
 
@@ -148,12 +146,12 @@ def _refine(
 
     def equations(T: jaxlie.SE3) -> tuple[Array, Array, Array, Array]:
         residual, jacobian, front = _residuals(T, rows, camera, config)
-        square = jnp.sum(residual**2, axis=1)
+        square = jnp.sum(residual**2, axis=0)
         weight = jnp.where(front, kernel_weight(square, "geman_mcclure", config.kernel_width), 0)
-        weighted = weight[:, None, None] * jacobian
-        hessian = jnp.einsum("kri,krj->ij", weighted, jacobian)
-        gradient = jnp.einsum("kri,kr->i", weighted, residual)
-        return hessian, gradient, jnp.sum(weight * square), jnp.sum(weight)
+        rows_of = jnp.moveaxis(jacobian, 1, 0).reshape(6, -1)
+        weighted = jnp.moveaxis(weight * jacobian, 1, 0).reshape(6, -1)
+        hessian, gradient = weighted @ rows_of.T, weighted @ residual.reshape(-1)
+        return hessian, gradient, weight @ square, jnp.sum(weight)
 
     def step(_: Int[Array, ""], T: jaxlie.SE3) -> jaxlie.SE3:
         hessian, gradient, _, _ = equations(T)

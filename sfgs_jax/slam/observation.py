@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax import gicp
-from sfgs_jax.geometry import Camera, Frame
+from sfgs_jax.geometry import Camera, Frame, clean_depth
 from sfgs_jax.slam.config import FeaturesConfig, TrackingConfig
-from sfgs_jax.superfeats import Features, extract, extract_orb, load_weights
+from sfgs_jax.superfeats import Features, extract, extract_orb, load_weights, mean_grey
 from sfgs_jax.superfeats.network import Network
 
 
@@ -57,49 +57,47 @@ def load_extractor(config: FeaturesConfig) -> Extractor:
     return load_weights() if config.kind == "superfeats" else None
 
 
-def observe(
-    frame: Frame, camera: Camera, extractor: Extractor, config: TrackingConfig, *, depth: Float[Array, "H W"]
-) -> Observation:
+def observe(frame: Frame, camera: Camera, extractor: Extractor, config: TrackingConfig) -> Observation:
     """The observation of a frame.
 
     Args:
-        frame: colours are read.
+        frame: of its depth, what is not finite or not positive counts as missing.
         camera: intrinsics of the frame.
         extractor: from `load_extractor`.
         config: settings.
-        depth: the frame's depth without what is not finite or not positive.
     """
-    features = config.features
+    features, grey = config.features, mean_grey(frame.rgb)
     if features.kind == "orb":
         found = extract_orb(np.asarray(frame.rgb), max_keypoints=features.max_keypoints)
-        return _with_features(found, jnp.asarray(frame.rgb), depth, camera, config)
-    return _observe(extractor, jnp.asarray(frame.rgb), depth, camera, config)
+        return _with_features(found, grey, frame.depth, camera, config)
+    return _observe(extractor, grey, frame.depth, camera, config)
 
 
 @partial(jax.jit, static_argnames="config")
 def _observe(
     extractor: Extractor,
-    rgb: Float[Array, "H W 3"],
-    depth: Float[Array, "H W"],
+    grey: Float[Array | np.ndarray, "H W"],
+    depth: Float[Array | np.ndarray, "H W"],
     camera: Camera,
     config: TrackingConfig,
 ) -> Observation:
     if extractor is None:
         features = empty_features()
     else:
-        features = extract(extractor, rgb, max_keypoints=config.features.max_keypoints)
-    return _with_features(features, rgb, depth, camera, config)
+        features = extract(extractor, grey, max_keypoints=config.features.max_keypoints)
+    return _with_features(features, grey, depth, camera, config)
 
 
 @partial(jax.jit, static_argnames="config")
 def _with_features(
     features: Features,
-    rgb: Float[Array, "H W 3"],
-    depth: Float[Array, "H W"],
+    grey: Float[Array | np.ndarray, "H W"],
+    depth: Float[Array | np.ndarray, "H W"],
     camera: Camera,
     config: TrackingConfig,
 ) -> Observation:
-    features = _with_contrast(features, rgb, config.features.min_contrast)
+    depth, _ = clean_depth(jnp.asarray(depth))
+    features = _with_contrast(features, jnp.asarray(grey), config.features.min_contrast)
     at = _depth_at(depth, features.keypoints, config.features.depth_tolerance)
     points = camera.unproject(features.keypoints, jnp.where(at > 0, at, 1))
     return Observation(
@@ -130,14 +128,14 @@ _BLOCK = 4
 """Pixels along the side of the blocks in them that are averaged first: noise has contrast too."""
 
 
-def _with_contrast(features: Features, rgb: Float[Array, "H W 3"], least: float) -> Features:
+def _with_contrast(features: Features, grey: Float[Array, "H W"], least: float) -> Features:
     """The features without those around which the image shows nothing."""
-    grey = rgb[..., 1]
     height, width = grey.shape
     rows, columns = height // _CELL, width // _CELL
     parts = _CELL // _BLOCK
-    blocks = grey[: rows * _CELL, : columns * _CELL].reshape(rows, parts, _BLOCK, columns, parts, _BLOCK)
-    means = jnp.mean(blocks, axis=(2, 5))
+    # Rows are added up before columns: along these the sums run as vectors.
+    strips = grey[: rows * _CELL, : columns * _CELL].reshape(rows * parts, _BLOCK, -1).sum(axis=1)
+    means = strips.reshape(rows, parts, columns, parts, _BLOCK).sum(axis=-1) / _BLOCK**2
     reach = ((1, 1), (1, 1))
     low, high = jnp.min(means, axis=(1, 3)), jnp.max(means, axis=(1, 3))
     low, high = (
@@ -180,7 +178,4 @@ def _depth_at(
 def blank_observation(camera: Camera, config: TrackingConfig) -> Observation:
     """An observation of this structure, without arrays: what saved ones are read into."""
     depth = jax.ShapeDtypeStruct(camera.shape, jnp.float32)
-    rgb = jax.ShapeDtypeStruct((*camera.shape, 3), jnp.float32)
-    return jax.eval_shape(
-        lambda r, d, c: _with_features(empty_features(), r, d, c, config), rgb, depth, camera
-    )
+    return jax.eval_shape(lambda d, c: _with_features(empty_features(), d, d, c, config), depth, camera)

@@ -5,13 +5,11 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Float
 
-from sfgs_jax.geometry import Frame, clean_depth, se3
+from sfgs_jax.geometry import Frame, se3
 from sfgs_jax.slam.graph import edge_of, is_edge, neighbours, optimise_poses, register_pair
 from sfgs_jax.slam.loops import believe, is_candidate, loop_pairs, with_candidate
 from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, view_of, warm_up
@@ -108,8 +106,7 @@ def follow(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> Follo
         )
     number = state.num_frames
     with stages("tracking"):
-        depth, _ = _clean(jnp.asarray(frame.depth))
-        observation = observe(frame, state.camera, state.extractor, state.config.tracking, depth=depth)
+        observation = observe(frame, state.camera, state.extractor, state.config.tracking)
         state = replace(state, num_frames=number + 1)
         state, tracking = _find(state, observation)
         state = _placed(state, tracking)
@@ -131,7 +128,7 @@ def follow(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> Follo
     log = state.log.with_frame(float(frame.timestamp), number, state.reference, state.T_reference_cam)
     view = None
     if new_keyframe or _view_is_due(state):
-        view = view_of(frame, depth, state.mapping_factor, state.reference, state.T_reference_cam, number)
+        view = view_of(frame, state.mapping_factor, state.reference, state.T_reference_cam, number)
     # What was no keyframe now may have to be one if the next frame has moved on too far.
     last = observation if could_be and not new_keyframe else None
     state = replace(state, log=log, last=last, last_view=state.last_view if view is None else number)
@@ -334,8 +331,3 @@ def _first(observation: Observation) -> Tracking:
 
 _BACKLOG = 10
 """Waiting registrations beyond which more than one is done at a time."""
-
-
-@jax.jit
-def _clean(depth: Float[Array, "H W"]) -> tuple[Array, Array]:
-    return clean_depth(depth)

@@ -1,6 +1,7 @@
 """Keypoints and descriptors: the SuperFeats network, its matching, its training."""
 
 from sfgs_jax.superfeats.extraction import extract as extract
+from sfgs_jax.superfeats.extraction import mean_grey as mean_grey
 from sfgs_jax.superfeats.features import Features as Features
 from sfgs_jax.superfeats.features import Matches as Matches
 from sfgs_jax.superfeats.matching import MIN_SIMILARITY as MIN_SIMILARITY

@@ -13,7 +13,6 @@ MIN_SIMILARITY = 0.75
 many as XFeat's floor of 0.82 does of XFeat's (experiments/similarity_floor.py)."""
 
 _ROWS = 256
-_Pair = tuple[Array, Array]
 
 
 def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMILARITY) -> Matches:
@@ -43,13 +42,14 @@ def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMI
 
 @jax.jit
 def _match(a: Features, b: Features, min_similarity: Scalar) -> Matches:
-    similarity, index_b, index_a = _nearest(a, b)
-    mutual = index_a[index_b] == jnp.arange(len(index_b))
+    similarity, index_b, mutual = _nearest(a, b)
+    # Of equal descriptors each would be the nearest.
+    mutual &= first_claim(index_b, mutual, len(b.valid))
     return gather_matches(a, b, index_b, mutual & (similarity > min_similarity))
 
 
-def _nearest(a: Features, b: Features) -> tuple[Float[Array, " k"], Int[Array, " k"], Int[Array, " m"]]:
-    """Each of a's keypoints' highest cosine and where in b it is, and where in a each of b's has its highest.
+def _nearest(a: Features, b: Features) -> tuple[Float[Array, " k"], Int[Array, " k"], Bool[Array, " k"]]:
+    """Each of a's keypoints' highest cosine, where in b it is, and whether it is the highest there too.
 
     The table of cosines is made and used some rows at a time, so that it stays in the cache.
     """
@@ -57,20 +57,15 @@ def _nearest(a: Features, b: Features) -> tuple[Float[Array, " k"], Int[Array, "
     count = len(left)
     blocks = jnp.pad(left, ((0, -count % _ROWS), (0, 0))).reshape(-1, _ROWS, left.shape[1])
 
-    def step(best: _Pair, block: _Pair) -> tuple[_Pair, _Pair]:
-        (best_of_column, index_a), (rows, first_row) = best, block
+    def step(best_of_column: Array, rows: Array) -> tuple[Array, tuple[Array, Array]]:
         table = rows @ right.T
-        best_of_row, best_here = table.max(axis=1), table.max(axis=0)
-        index_b = first_true(table == best_of_row[:, None])
-        index_here = first_true(table == best_here, axis=0) + first_row
-        better = best_here > best_of_column
-        best = jnp.where(better, best_here, best_of_column), jnp.where(better, index_here, index_a)
-        return best, (best_of_row, index_b)
+        best_of_row = table.max(axis=1)
+        found = best_of_row, first_true(table == best_of_row[:, None])
+        return jnp.maximum(best_of_column, table.max(axis=0)), found
 
-    start = jnp.full(len(right), -jnp.inf, right.dtype), jnp.zeros(len(right), int)
-    (_, index_a), nearest = lax.scan(step, start, (blocks, jnp.arange(0, count, _ROWS)))
+    best_of_column, nearest = lax.scan(step, jnp.full(len(right), -jnp.inf, right.dtype), blocks)
     similarity, index_b = (values.reshape(-1)[:count] for values in nearest)
-    return similarity, index_b, index_a
+    return similarity, index_b, similarity == best_of_column[index_b]
 
 
 def _clean_descriptors(features: Features) -> Float[Array, "k d"]:

@@ -50,7 +50,7 @@ def tracking(config):
 @pytest.fixture
 def look(tracking):
     extractor = load_extractor(tracking.features)
-    return lambda frame: observe(frame, CAMERA, extractor, tracking, depth=jnp.asarray(frame.depth))
+    return lambda frame: observe(frame, CAMERA, extractor, tracking)
 
 
 def test_along_a_textured_wall_the_keypoints_decide(rng, look, tracking):
@@ -138,8 +138,8 @@ def test_what_is_left_carries_the_frame(room, frames, config, dark, blind, carri
     frame = frames[1]
     rgb = np.zeros_like(frame.rgb) if dark else frame.rgb
     depth = np.zeros_like(frame.depth) if blind else frame.depth
-    target = observe(frames[0], room.camera, extractor, settings, depth=jnp.asarray(frames[0].depth))
-    source = observe(Frame(rgb, depth, 0.0), room.camera, extractor, settings, depth=jnp.asarray(depth))
+    target = observe(frames[0], room.camera, extractor, settings)
+    source = observe(Frame(rgb, depth, 0.0), room.camera, extractor, settings)
     found = register(source, target, se3.identity(), room.camera, settings)
     if carrier == Carrier.SURFACE and int(found.free):
         # So small an image shows little of the room: the surface leaves a direction to the guess.
