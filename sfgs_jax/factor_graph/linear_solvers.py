@@ -1,6 +1,7 @@
 """Solvers of the poses' equations: dense Cholesky, multifrontal Cholesky, conjugate gradients."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import assert_never
 
 import jax.numpy as jnp
@@ -64,13 +65,32 @@ def dense_matrix(graph: FactorGraph, system: Reduced) -> Float[Array, "n n"]:
 
 
 def _dense(graph: FactorGraph, system: Reduced) -> Solve:
-    lower = lax.linalg.cholesky(dense_matrix(graph, system), symmetrize_input=False)
+    """Cholesky of a leading part of the matrix that holds all free poses: a graph has room to grow, and most of
+    a factorisation would go to poses that are not there yet. The rest of the matrix is an identity."""
+    P, d = system.diagonal.shape[:2]
+    parts = sorted({-(-P // divisor) for divisor in (8, 4, 2, 1)})
+    last = jnp.max(jnp.where(jnp.asarray(graph.free_poses), jnp.arange(1, P + 1), 0))
+    part = jnp.searchsorted(jnp.asarray(parts), last)
+
+    def factorise(poses: int, matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+        size = d * poses
+        lower = lax.linalg.cholesky(matrix[:size, :size], symmetrize_input=False)
+        return matrix.at[:size, :size].set(lower)
+
+    def substitute(poses: int, lower: Float[Array, "n n"], right: Float[Array, "n 1"]) -> Float[Array, "n 1"]:
+        size = d * poses
+        leading = lower[:size, :size]
+        half = lax.linalg.triangular_solve(leading, right[:size], left_side=True, lower=True)
+        whole = lax.linalg.triangular_solve(leading, half, left_side=True, lower=True, transpose_a=True)
+        return right.at[:size].set(whole)
+
+    lower = lax.switch(part, [partial(factorise, poses) for poses in parts], dense_matrix(graph, system))
 
     def solve(right: Float[Array, "P d"]) -> Float[Array, "P d"]:
         column = right.reshape(-1, 1)
-        half = lax.linalg.triangular_solve(lower, column, left_side=True, lower=True)
-        whole = lax.linalg.triangular_solve(lower, half, left_side=True, lower=True, transpose_a=True)
-        return whole.reshape(right.shape)
+        return lax.switch(part, [partial(substitute, poses) for poses in parts], lower, column).reshape(
+            right.shape
+        )
 
     return solve
 

@@ -199,9 +199,9 @@ class MappingConfig:
     """Views and keyframes whose images stay in memory; those of older ones are kept on disk."""
     steps_per_frame: int = 0
     """Optimisation steps after each tracked frame."""
-    steps_per_view: int = 3
+    steps_per_view: int = 1
     """Optimisation steps on a new view."""
-    final_steps: int = 900
+    final_steps: int = 1000
     """Optimisation steps over all views after the last frame."""
     newest_share: float = 0.3
     """Share of the steps between views that the newest view gets; the others are drawn uniformly."""

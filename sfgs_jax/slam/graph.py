@@ -15,7 +15,7 @@ from sfgs_jax.slam.nodes import Edge, Keyframe
 from sfgs_jax.slam.registration import Carrier, Registration, extent, register
 from sfgs_jax.slam.state import SlamState
 
-_SOLVER = SolverConfig(max_iterations=15)
+_SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4)
 
 
 def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
@@ -109,8 +109,8 @@ def optimise_poses(state: SlamState) -> SlamState:
 def with_poses(state: SlamState, poses: Float[np.ndarray, "n 7"]) -> SlamState:
     """The state with its keyframes moved; the map follows with its next step."""
     keyframes = tuple(
-        replace(keyframe, T_world_cam=jaxlie.SE3(jnp.asarray(pose)))
-        for keyframe, pose in zip(state.keyframes, poses, strict=True)
+        replace(keyframe, T_world_cam=jaxlie.SE3(jnp.asarray(pose))) if np.any(pose != old) else keyframe
+        for keyframe, pose, old in zip(state.keyframes, poses, state.keyframe_poses, strict=True)
     )
     return replace(state, keyframes=keyframes)
 

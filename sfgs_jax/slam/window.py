@@ -86,11 +86,12 @@ def optimise_window(state: SlamState) -> SlamState:
         landmarks[row] = keyframe.landmarks
         pixels[row], depth[row] = keypoints.features.keypoints, keypoints.depth
     index, seen = _compressed(landmarks, config.graph.max_landmarks)
+    cameras = se3.matrices_of(state.keyframe_poses[first:]).astype(np.float32)
     for row, keyframe in reversed(list(enumerate(members))):
         # A landmark starts where the first keyframe that measured its depth saw it.
         known = seen[row] & (depth[row] > 0)
-        world = np.asarray(se3.transform(keyframe.T_world_cam, keyframe.observation.keypoints.points))
-        points[index[row][known]] = world[known]
+        local = np.asarray(keyframe.observation.keypoints.points)[known]
+        points[index[row][known]] = local @ cameras[row, :3, :3].T + cameras[row, :3, 3]
     measured = np.zeros(config.graph.max_landmarks, bool)
     measured[index[seen & (depth > 0)]] = True
     seen &= measured[index]

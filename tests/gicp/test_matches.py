@@ -65,6 +65,22 @@ def test_wrong_matches_are_found_out(rng, key, method, wrong):
         assert 0.004 < result.rmse < 0.015
 
 
+@pytest.mark.parametrize("method", ["least_squares", "graduated", "ransac"])
+def test_without_the_last_minimisation_the_motion_is_near_and_has_no_derivatives(rng, key, method):
+    p, q, T, right = matched(rng, 300, wrong=0.0 if method == "least_squares" else 0.5)
+
+    def total(p):
+        result = rigid_from_matches(p, q, method=method, key=key, refined=False)
+        return jnp.sum(result.T_target_source.wxyz_xyz), result
+
+    gradient, result = jax.grad(total, has_aux=True)(jnp.asarray(p))
+    metres, degrees = error(result, T)
+    assert metres < 5e-3
+    assert degrees < 0.1
+    assert np.mean(np.asarray(result.inliers) == right) > 0.99
+    np.testing.assert_array_equal(gradient, 0)
+
+
 def test_matches_without_any_agreement_are_not_called_converged(rng, key):
     p, q, _, _ = matched(rng, 300, wrong=1.0)
     for method in ("graduated", "ransac"):
