@@ -65,8 +65,10 @@ def dense_matrix(graph: FactorGraph, system: Reduced) -> Float[Array, "n n"]:
 
 
 def _dense(graph: FactorGraph, system: Reduced) -> Solve:
-    """Cholesky of a leading part of the matrix that holds all free poses: a graph has room to grow, and most of
-    a factorisation would go to poses that are not there yet. The rest of the matrix is an identity."""
+    """Cholesky of a leading part of the matrix that holds all free poses; the rest of it is an identity.
+
+    A graph has room to grow, and most of a factorisation would go to poses that are not there yet.
+    """
     P, d = system.diagonal.shape[:2]
     parts = sorted({-(-P // divisor) for divisor in (8, 4, 2, 1)})
     last = jnp.max(jnp.where(jnp.asarray(graph.free_poses), jnp.arange(1, P + 1), 0))

@@ -85,7 +85,7 @@ class GraphConfig:
 
     enabled: bool = True
     """Without the graph a keyframe stays where it was first tracked, and no loop is closed."""
-    num_neighbours: int = 8
+    num_neighbours: int = 5
     """Earlier keyframes that see the same and that a new one is registered to, the nearest first."""
     neighbour_distance: float = 1.0
     """A keyframe farther away is no neighbour, metres."""
