@@ -79,6 +79,22 @@ def test_a_step_is_that_of_a_dense_solve(float64, rng, make, solver):
     np.testing.assert_allclose(step.expected, -(g @ found) - found @ H @ found / 2, rtol=1e-6)
 
 
+@pytest.mark.parametrize("used", [7, 8, 26])
+def test_room_for_poses_to_come_changes_no_step(float64, rng, used):
+    graph, start, _ = ring(rng, n=used, linear_solver="dense")
+    room = 50
+    wide = FactorGraph(
+        graph.factors, num_poses=room, free_poses=np.arange(room) < used, linear_solver="dense"
+    )
+    poses = np.pad(start.poses.wxyz_xyz, ((0, room - used), (0, 0)), mode="edge")
+    damping = jnp.asarray(1e-3)
+    step = step_from(wide, Values(jaxlie.SE3(jnp.asarray(poses))), damping)
+    np.testing.assert_allclose(
+        step.poses[:used], step_from(graph, start, damping).poses, rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_array_equal(step.poses[used:], 0)
+
+
 @pytest.mark.parametrize(
     ("method", "solver"),
     [*(("levenberg_marquardt", solver) for solver in SOLVERS), ("gauss_newton", "dense")],
