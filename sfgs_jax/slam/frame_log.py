@@ -1,8 +1,9 @@
 """Where the frames were: each relative to its keyframe, and all of them by where the keyframes are."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-import equinox as eqx
+import jax
 import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,7 +13,9 @@ from sfgs_jax.geometry import Trajectory, se3
 from sfgs_jax.slam.nodes import Edge, Keyframe
 
 
-class FrameLog(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class FrameLog:
     """Where each tracked frame was, relative to the keyframe that it was registered to.
 
     Attributes:

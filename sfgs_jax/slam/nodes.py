@@ -1,6 +1,8 @@
 """Nodes and edges of the graph of keyframes."""
 
-import equinox as eqx
+from dataclasses import dataclass
+
+import jax
 import jaxlie
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -8,7 +10,9 @@ from jaxtyping import Array, Float, Int
 from sfgs_jax.slam.observation import Observation
 
 
-class Keyframe(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Keyframe:
     """A frame that others are registered to: a node of the graph.
 
     Attributes:
@@ -24,7 +28,9 @@ class Keyframe(eqx.Module):
     frame: int
 
 
-class Edge(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Edge:
     """A registration of one keyframe to another.
 
     Attributes:

@@ -1,6 +1,12 @@
-"""The state of a run: one pytree, from which the next step follows."""
+"""The state of a run: one pytree, from which the next step follows.
 
-import equinox as eqx
+These are plain dataclasses, as are its nodes: whenever one is made, an `equinox.Module` looks through all
+that it holds, and so every field that a step replaces would take as long as the run is long.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
 import jaxlie
 import numpy as np
 from jaxtyping import Array, Float, UInt8
@@ -14,7 +20,9 @@ from sfgs_jax.slam.observation import Extractor, Observation, load_extractor
 from sfgs_jax.splatting import Gaussians
 
 
-class View(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class View:
     """Images that the map is optimised against, at the mapping resolution.
 
     Attributes:
@@ -32,7 +40,9 @@ class View(eqx.Module):
     frame: int
 
 
-class MapState(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class MapState:
     """The mapper's part of the state.
 
     Attributes:
@@ -57,7 +67,9 @@ class MapState(eqx.Module):
         return int(np.sum(self.map.gaussians.valid))
 
 
-class SlamState(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class SlamState:
     """Everything a run knows; each field is replaced, never changed in place.
 
     Attributes:
@@ -83,7 +95,7 @@ class SlamState(eqx.Module):
         mapping: the map and its views.
     """
 
-    config: SlamConfig = eqx.field(static=True)
+    config: SlamConfig = field(metadata={"static": True})
     camera: Camera
     extractor: Extractor
     keyframes: tuple[Keyframe, ...]
