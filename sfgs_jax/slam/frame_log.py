@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
 import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from sfgs_jax.geometry import Trajectory, se3
 from sfgs_jax.slam.nodes import Edge, Keyframe
+from sfgs_jax.slam.pytrees import pytree
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True, eq=False)
 class FrameLog:
     """Where each tracked frame was, relative to the keyframe that it was registered to.

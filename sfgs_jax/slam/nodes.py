@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 
-import jax
 import jaxlie
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sfgs_jax.slam.observation import Observation
+from sfgs_jax.slam.pytrees import pytree
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True, eq=False)
 class Keyframe:
     """A frame that others are registered to: a node of the graph.
@@ -28,7 +28,7 @@ class Keyframe:
     frame: int
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True, eq=False)
 class Edge:
     """A registration of one keyframe to another.

@@ -1,12 +1,7 @@
-"""The state of a run: one pytree, from which the next step follows.
-
-These are plain dataclasses, as are its nodes: whenever one is made, an `equinox.Module` looks through all
-that it holds, and so every field that a step replaces would take as long as the run is long.
-"""
+"""The state of a run: one pytree, from which the next step follows."""
 
 from dataclasses import dataclass, field
 
-import jax
 import jaxlie
 import numpy as np
 from jaxtyping import Array, Float, UInt8
@@ -17,10 +12,11 @@ from sfgs_jax.slam.frame_log import FrameLog, trajectory_of
 from sfgs_jax.slam.gaussian_map import GaussianMap, empty_map
 from sfgs_jax.slam.nodes import Edge, Keyframe
 from sfgs_jax.slam.observation import Extractor, Observation, load_extractor
+from sfgs_jax.slam.pytrees import pytree
 from sfgs_jax.splatting import Gaussians
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True, eq=False)
 class View:
     """Images that the map is optimised against, at the mapping resolution.
@@ -40,7 +36,7 @@ class View:
     frame: int
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True, eq=False)
 class MapState:
     """The mapper's part of the state.
@@ -67,7 +63,7 @@ class MapState:
         return int(np.sum(self.map.gaussians.valid))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True, eq=False)
 class SlamState:
     """Everything a run knows; each field is replaced, never changed in place.
