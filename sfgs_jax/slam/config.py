@@ -18,8 +18,8 @@ class FeaturesConfig:
     min_similarity: float = MIN_SIMILARITY
     """Cosine that the descriptors of a match must exceed."""
     min_contrast: float = 0.03
-    """A keypoint counts where the grey values of the cells around it differ by at least this, of 1: on a
-    wall without texture, or in the dark, an extractor finds its own artefacts."""
+    """A keypoint counts where the grey values of the cells around it bend by at least this, of 1: on a wall
+    without texture, or in the dark, an extractor finds its own artefacts. Even shading does not bend."""
     depth_tolerance: float = 0.03
     """A keypoint has no depth if the surface around it bends by more than this share of its depth."""
     max_rigid_matches: int = 256
@@ -85,7 +85,7 @@ class GraphConfig:
 
     enabled: bool = True
     """Without the graph a keyframe stays where it was first tracked, and no loop is closed."""
-    num_neighbours: int = 5
+    num_neighbours: int = 8
     """Earlier keyframes that see the same and that a new one is registered to, the nearest first."""
     neighbour_distance: float = 1.0
     """A keyframe farther away is no neighbour, metres."""

@@ -135,15 +135,17 @@ def _with_contrast(features: Features, grey: Float[Array, "H W"], least: float) 
     parts = _CELL // _BLOCK
     # Rows are added up before columns: along these the sums run as vectors.
     strips = grey[: rows * _CELL, : columns * _CELL].reshape(rows * parts, _BLOCK, -1).sum(axis=1)
-    means = strips.reshape(rows, parts, columns, parts, _BLOCK).sum(axis=-1) / _BLOCK**2
-    reach = ((1, 1), (1, 1))
-    low, high = jnp.min(means, axis=(1, 3)), jnp.max(means, axis=(1, 3))
-    low, high = (
-        jax.lax.reduce_window(x, start, pick, (3, 3), (1, 1), reach)
-        for x, start, pick in ((low, jnp.inf, jax.lax.min), (high, -jnp.inf, jax.lax.max))
+    means = strips.reshape(rows * parts, columns * parts, _BLOCK).sum(axis=-1) / _BLOCK**2
+    padded = jnp.pad(means, 1, mode="edge")
+    # Shading that changes evenly is no contrast, however steep.
+    bends = jnp.maximum(
+        jnp.abs(padded[:-2, 1:-1] + padded[2:, 1:-1] - 2 * means),
+        jnp.abs(padded[1:-1, :-2] + padded[1:-1, 2:] - 2 * means),
     )
+    cells = jnp.max(bends.reshape(rows, parts, columns, parts), axis=(1, 3))
+    around = jax.lax.reduce_window(cells, -jnp.inf, jax.lax.max, (3, 3), (1, 1), ((1, 1), (1, 1)))
     column, row = (features.keypoints / _CELL).astype(jnp.int32).T
-    contrast = (high - low)[jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1)]
+    contrast = around[jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1)]
     valid = features.valid & (contrast >= least)
     return Features(features.keypoints, features.scores, features.descriptors, valid)
 
