@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 from jax import lax
+from jaxtyping import Array, Int
 
 from sfgs_jax.geometry import InputError
 from sfgs_jax.gicp.assess import assess
@@ -27,6 +28,7 @@ def align(
     init_T_target_source: jaxlie.SE3,
     *,
     prior: MotionPrior | None = None,
+    coarsest: int | Int[Array, ""] | None = None,
     config: GicpConfig | None = None,
 ) -> RegistrationResult:
     """Motion that lays the source on the target, from a start near it.
@@ -45,6 +47,8 @@ def align(
         target: cloud of the frame to locate it in, from the same or from `prepare_gaussians`.
         init_T_target_source: where to start.
         prior: what is known of the motion beforehand, weighed against the residuals by their noise.
+        coarsest: level to begin with, counted from 0, the finest; all levels if not given. A start that is
+            good to a few centimetres needs no coarse ones. A new value does not compile anew.
         config: settings, `GicpConfig()` if not given.
 
     Raises:
@@ -58,16 +62,23 @@ def align(
                 f"The {name} has {counts[0]} levels, the config {config.levels} with {counts[1]} strides and "
                 f"{counts[2]} iteration limits; prepare both clouds with this config."
             )
-    return _align(source, target, init_T_target_source, prior, config)
+    levels = max(len(source.levels), len(target.levels))
+    begin = jnp.asarray(levels - 1 if coarsest is None else coarsest, jnp.int32)
+    return _align(source, target, init_T_target_source, prior, jnp.maximum(begin, 0), config)
 
 
 @partial(jax.jit, static_argnames="config")
 def _align(
-    source: Cloud, target: Cloud, T: jaxlie.SE3, prior: MotionPrior | None, config: GicpConfig
+    source: Cloud,
+    target: Cloud,
+    T: jaxlie.SE3,
+    prior: MotionPrior | None,
+    coarsest: Int[Array, ""],
+    config: GicpConfig,
 ) -> RegistrationResult:
     frames = Frames(_origin(source), _origin(target))
     centred_prior = None if prior is None else frames.centred_prior(prior)
-    found = locate(source.levels, target.levels, frames.centred(T), centred_prior, config)
+    found = locate(source.levels, target.levels, frames.centred(T), centred_prior, coarsest, config)
     # Nothing but the motion has derivatives: those of eigenvectors that are not unique would be NaN.
     finest = level_problem(source.levels, target.levels, None, 0, config, judged=True)
     result = assess(*lax.stop_gradient((finest, found)), config)

@@ -71,11 +71,14 @@ class LevelProblem(eqx.Module):
             self.source, pairs, self.moments, T, self.prior, self.width, self.shared, self.config
         )
 
-    def minimise(self, T: jaxlie.SE3) -> _Outcome:
-        """The motion where the steps become short, how many there were, and whether they did."""
+    def minimise(self, T: jaxlie.SE3, skipped: Bool[Array, ""]) -> _Outcome:
+        """The motion where the steps become short, how many there were, and whether they did.
+
+        A level that is skipped has done so without a step.
+        """
         if self.config.optimizer == "gauss_newton":
-            return self._gauss_newton(T)
-        return self._levenberg_marquardt(T)
+            return self._gauss_newton(T, skipped)
+        return self._levenberg_marquardt(T, skipped)
 
     def _step(
         self, T: jaxlie.SE3, e: Equations, damping: Float[Array, ""]
@@ -84,7 +87,7 @@ class LevelProblem(eqx.Module):
         square = jnp.maximum(jnp.sum(delta[:3] ** 2), jnp.sum(delta[3:] ** 2))
         return se3.compose(T, se3.exp(delta)), square < self.tolerance**2
 
-    def _gauss_newton(self, T: jaxlie.SE3) -> _Outcome:
+    def _gauss_newton(self, T: jaxlie.SE3, skipped: Bool[Array, ""]) -> _Outcome:
         damping = jnp.asarray(self.config.damping, self.moments.dtype)
 
         def unfinished(state: _Outcome) -> Bool[Array, ""]:
@@ -96,16 +99,16 @@ class LevelProblem(eqx.Module):
             T, settled = self._step(T, self.equations(T, self.pairs(T)), damping)
             return T, iteration + 1, settled
 
-        return lax.while_loop(unfinished, step, (T, jnp.asarray(0), jnp.asarray(False)))
+        return lax.while_loop(unfinished, step, (T, jnp.asarray(0), skipped))
 
-    def _levenberg_marquardt(self, T: jaxlie.SE3) -> _Outcome:
+    def _levenberg_marquardt(self, T: jaxlie.SE3, skipped: Bool[Array, ""]) -> _Outcome:
         """Steps are tried with correspondences found anew: the cost is of where they lead, not of a model."""
         state = _Trial(
             T,
             self.equations(T, self.pairs(T)),
             jnp.asarray(self.config.damping, self.moments.dtype),
             jnp.asarray(0),
-            jnp.asarray(False),
+            skipped,
         )
 
         def unfinished(state: _Trial) -> Bool[Array, ""]:

@@ -32,23 +32,29 @@ class Located(eqx.Module):
 
 
 def locate(
-    source: Levels, target: Levels, T: jaxlie.SE3, prior: MotionPrior | None, config: GicpConfig
+    source: Levels,
+    target: Levels,
+    T: jaxlie.SE3,
+    prior: MotionPrior | None,
+    coarsest: Int[Array, ""],
+    config: GicpConfig,
 ) -> Located:
-    """Align from the coarsest level to the finest; a cloud with fewer levels repeats its coarsest."""
-    return Located(*_locate((source, target, T, prior), config=config))
+    """Align from the level `coarsest` to the finest, 0; a cloud with fewer levels repeats its coarsest."""
+    return Located(*_locate((source, target, T, prior, coarsest), config=config))
 
 
-_Inputs = tuple[Levels, Levels, jaxlie.SE3, MotionPrior | None]
+_Inputs = tuple[Levels, Levels, jaxlie.SE3, MotionPrior | None, Int[Array, ""]]
 
 _Outputs = tuple[jaxlie.SE3, Int[Array, ""], Bool[Array, ""]]
 
 
 @eqx.filter_custom_jvp
 def _locate(inputs: _Inputs, *, config: GicpConfig) -> _Outputs:
-    source, target, T, prior = inputs
+    source, target, T, prior, coarsest = inputs
     total, settled = jnp.asarray(0), jnp.asarray(False)
     for i in reversed(range(max(len(source), len(target)))):
-        T, iterations, settled = level_problem(source, target, prior, i, config).minimise(T)
+        problem = level_problem(source, target, prior, i, config)
+        T, iterations, settled = problem.minimise(T, i > coarsest)
         total += iterations
     return T, total, settled
 
@@ -59,7 +65,7 @@ def _locate_jvp(primals: tuple[_Inputs], tangents: Any, *, config: GicpConfig) -
     found = _locate(inputs, config=config)
 
     def corrected(moving: _Inputs) -> jaxlie.SE3:
-        source, target, _, prior = moving
+        source, target, _, prior, _ = moving
         return level_problem(source, target, prior, 0, config).corrected(found[0])
 
     _, rate = eqx.filter_jvp(corrected, (inputs,), (rates,))

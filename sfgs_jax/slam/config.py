@@ -17,9 +17,9 @@ class FeaturesConfig:
     """Slots for the keypoints of a frame."""
     min_similarity: float = MIN_SIMILARITY
     """Cosine that the descriptors of a match must exceed."""
-    min_contrast: float = 0.03
-    """A keypoint counts where the grey values of the cells around it bend by at least this, of 1: on a wall
-    without texture, or in the dark, an extractor finds its own artefacts. Even shading does not bend."""
+    min_contrast: float = 0.015
+    """A keypoint counts where the grey values around it bend by at least this, of 1: on a wall without
+    texture, or in the dark, an extractor finds its own artefacts. Even shading does not bend."""
     depth_tolerance: float = 0.03
     """A keypoint has no depth if the surface around it bends by more than this share of its depth."""
     max_rigid_matches: int = 256
@@ -50,8 +50,8 @@ class TrackingConfig:
 
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     """Keypoints."""
-    gicp: GicpConfig = field(default_factory=GicpConfig)
-    """Registration settings."""
+    gicp: GicpConfig = field(default_factory=lambda: GicpConfig(strides=(3, 2, 1, 1)))
+    """Registration settings. Every third row and column is as good as every second here, and sooner done."""
     use_surface: bool = True
     """Whether GICP takes part; without it keypoints alone carry the poses."""
     guess_sigma: float = 0.1

@@ -55,9 +55,9 @@ def motion_from_keypoints(
 ) -> MatchedMotion:
     """Match two frames' keypoints and find the motion between the frames.
 
-    A rigid motion that lays the matched points on each other, by graduated non-convexity, or the guess,
-    whichever explains more matches: the former needs depth in both frames, the latter is all there is for a
-    source without. Then the reprojection error of the target's points in the source, pixels and, where the
+    The motion starts from the guess, if that explains most of the matches; else from a rigid motion that lays
+    the matched points on each other, by graduated non-convexity, if that explains more: it needs depth in
+    both frames. Then the reprojection error of the target's points in the source, pixels and, where the
     source has it, inverse depth, is minimised by Gauss-Newton with a Geman-McClure kernel.
 
     Args:
@@ -76,21 +76,16 @@ def motion_from_keypoints(
     valid = matches.valid & target.measured[matches.index_b]
     rows = _Rows(target.points[matches.index_b], source.features.keypoints, source.depth, valid)
 
-    best = jnp.where(valid & (source.depth > 0), matches.similarity, -1)
-    similarity, order = lax.top_k(best, min(config.max_rigid_matches, slots))
-    rigid = gicp.rigid_from_matches(
-        source.points[order],
-        rows.points[order],
-        1 / jnp.maximum(source.depth[order], 0.3) ** 2,
-        valid=similarity > 0,
-        max_distance=config.max_distance,
-        refined=False,
-    )
-    limit = 2 * config.inlier_pixels
-    support, guessed = (
-        jnp.sum(_explained(T, rows, camera, config, limit)) for T in (rigid.T_target_source, guess)
-    )
-    T = jax.tree.map(lambda a, b: jnp.where(support > guessed, a, b), rigid.T_target_source, guess)
+    num_matches = jnp.sum(valid, dtype=jnp.int32)
+    guessed = _support(guess, rows, camera, config)
+
+    def rigid() -> jaxlie.SE3:
+        T = _rigid_motion(source, rows, matches.similarity, config)
+        better = _support(T, rows, camera, config) > guessed
+        return jaxlie.SE3(jnp.where(better, T.wxyz_xyz, guess.wxyz_xyz))
+
+    # What explains most of the matches has no rival, and the refinement needs no better start.
+    T = lax.cond(2 * guessed > num_matches, lambda: jaxlie.SE3(guess.wxyz_xyz), rigid)
     T, hessian = _refine(T, rows, camera, config)
     inliers = _explained(T, rows, camera, config, config.inlier_pixels)
     return MatchedMotion(
@@ -98,9 +93,25 @@ def motion_from_keypoints(
         hessian / config.correlation,
         matches.index_b,
         inliers,
-        jnp.sum(valid, dtype=jnp.int32),
+        num_matches,
         jnp.sum(inliers, dtype=jnp.int32),
     )
+
+
+def _rigid_motion(
+    source: Keypoints, rows: _Rows, similarity: Float[Array, " k"], config: FeaturesConfig
+) -> jaxlie.SE3:
+    """The motion that lays most of the best matches' points on each other."""
+    best = jnp.where(rows.valid & (source.depth > 0), similarity, -1)
+    similarity, order = lax.top_k(best, min(config.max_rigid_matches, len(best)))
+    return gicp.rigid_from_matches(
+        source.points[order],
+        rows.points[order],
+        1 / jnp.maximum(source.depth[order], 0.3) ** 2,
+        valid=similarity > 0,
+        max_distance=config.max_distance,
+        refined=False,
+    ).T_target_source
 
 
 def _residuals(
@@ -137,6 +148,11 @@ def _explained(
     error = jnp.sum(residual[:2] ** 2, axis=0)
     near = jnp.abs(residual[2]) < config.inlier_depth_sigmas
     return front & near & (error < (pixels / config.pixel_sigma) ** 2)
+
+
+def _support(T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig) -> Int[Array, ""]:
+    """How many matches a motion that is yet to be refined explains."""
+    return jnp.sum(_explained(T, rows, camera, config, 2 * config.inlier_pixels), dtype=jnp.int32)
 
 
 def _refine(

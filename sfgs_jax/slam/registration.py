@@ -95,7 +95,9 @@ def register(
     # Without keypoints the guess itself is a weak prior, which decides where the surface does not.
     weak = jnp.eye(6) / config.guess_sigma**2
     prior = gicp.MotionPrior(T, jnp.where(keypoints, matched.information, weak))
-    result = gicp.align(source.cloud, target.cloud, T, prior=prior, config=config.gicp)
+    # Keypoints bring the start within reach of the finer levels.
+    coarsest = jnp.where(keypoints, 1, config.gicp.levels - 1)
+    result = gicp.align(source.cloud, target.cloud, T, prior=prior, coarsest=coarsest, config=config.gicp)
     found = _choose(keypoints, result.T_target_source, _held(result, guess))
     finite = jnp.all(jnp.isfinite(found.wxyz_xyz))
     surface = finite & (result.inlier_fraction >= config.min_inlier_fraction)

@@ -5,7 +5,6 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
@@ -302,7 +301,10 @@ def _view_is_due(state: SlamState) -> bool:
 
 def _shows_something(observation: Observation) -> bool:
     """Whether a frame could be registered to this one."""
-    return bool(jnp.any(observation.cloud.levels[0].valid) | jnp.any(observation.keypoints.measured))
+    keypoints = observation.keypoints
+    # In NumPy, which looks at memory where it lies: this is asked of every frame.
+    measured = np.asarray(keypoints.features.valid) & (np.asarray(keypoints.depth) > 0)
+    return bool(np.asarray(observation.cloud.levels[0].valid).any() or measured.any())
 
 
 def _info(state: SlamState, tracking: Tracking) -> StepInfo:

@@ -49,6 +49,23 @@ def test_a_known_motion_is_recovered(corner):
     assert 3 <= int(result.iterations) <= sum(CONFIG.max_iterations)
 
 
+def test_from_a_near_start_the_finest_level_does(corner):
+    target, source = corner
+    start = se3.compose(
+        se3.from_matrix(MOTION),
+        se3.exp(jnp.asarray([0.005, -0.004, 0.003, 0.004, 0.002, -0.003])),
+    )
+    whole = align(source, target, start, config=CONFIG)
+    compiled = _align._cache_size()
+    for coarsest in (0, 1, CONFIG.levels - 1):
+        result = align(source, target, start, coarsest=coarsest, config=CONFIG)
+        off = se3.log(se3.compose(se3.inverse(whole.T_target_source), result.T_target_source))
+        np.testing.assert_allclose(off, 0, atol=5e-5)
+        assert result.converged
+        assert (result.iterations < whole.iterations) == (coarsest < CONFIG.levels - 1)
+    assert _align._cache_size() == compiled
+
+
 def test_point_to_plane_recovers_it_too(corner):
     target, source = corner
     result = align(source, target, se3.identity(), config=replace(CONFIG, residual="point_to_plane"))

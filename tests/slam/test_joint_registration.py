@@ -108,6 +108,19 @@ def test_noise_on_a_bare_wall_is_no_keypoint(rng, look):
     assert np.sum(look(clear).keypoints.features.valid) > 100
 
 
+def test_shading_is_no_keypoint_and_what_lies_beside_bare_things_gives_them_none(rng, look):
+    textured = wall(texture(rng), SHIFT)
+    shade = np.linspace(0.2, 0.7, 160)[None, :, None] + np.linspace(0, 0.25, 120)[:, None, None]
+    noise = rng.normal(scale=0.01, size=textured.rgb.shape)
+    shaded = (shade + noise).astype(np.float32)
+    assert not np.any(look(Frame(shaded, textured.depth, 0.0)).keypoints.features.valid)
+    half = np.where(np.arange(160)[None, :, None] < 80, shaded, textured.rgb)
+    features = look(Frame(half, textured.depth, 0.0)).keypoints.features
+    column = np.asarray(features.keypoints)[np.asarray(features.valid), 0]
+    assert np.sum(column > 80) > 40
+    assert np.all(column > 80 - 8)
+
+
 def test_keypoints_beside_an_edge_have_no_depth_and_those_on_a_slope_have(rng, look):
     frame = wall(texture(rng), SHIFT)
     step = np.where(np.arange(160) < 80, 1.5, 2.0) + np.zeros((120, 1))
