@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -12,11 +11,11 @@ from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Camera, Frame, clean_depth, downscale_depth, downscale_rgb, se3
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.gaussian_map import GaussianMap, grow, move
+from sfgs_jax.slam.gaussian_map import grow, move
 from sfgs_jax.slam.optimisation import optimise, prune
 from sfgs_jax.slam.seeding import seed, uncovered
 from sfgs_jax.slam.state import MapState, View
-from sfgs_jax.splatting import RenderConfig, RenderOutput, pair_capacity, render
+from sfgs_jax.splatting import RenderConfig, pair_capacity
 
 
 def view_of(
@@ -59,11 +58,10 @@ def insert_view(mapping: MapState, view: View, camera: Camera, config: MappingCo
     depth, T_world_cam = jnp.asarray(view.depth), _pose(view, mapping)
     while True:
         room = RenderConfig(pair_capacity=mapping.pair_capacity)
-        rendered = _render(mapping.map, camera, T_world_cam, room)
-        if not int(rendered.overflow):
+        missing, overflow = uncovered(mapping.map, depth, camera, T_world_cam, config.seeding, room)
+        if not int(overflow):
             break
         mapping = _with_room_for_pairs(mapping, camera, T_world_cam)
-    missing = uncovered(rendered, depth, config.seeding)
     rgb, keyframe = _colours(view.rgb), jnp.asarray(view.keyframe, jnp.int32)
     while True:
         seeded, dropped = seed(
@@ -135,13 +133,6 @@ def _with_room_for_pairs(mapping: MapState, camera: Camera, T_world_cam: jaxlie.
     """The state with room for the pairs of a view that did not fit, and half as much again."""
     need = pair_capacity(mapping.map.gaussians, camera, T_world_cam, headroom=1.5)
     return replace(mapping, pair_capacity=max(need, 2 * mapping.pair_capacity))
-
-
-@eqx.filter_jit
-def _render(
-    gaussian_map: GaussianMap, camera: Camera, T_world_cam: jaxlie.SE3, render_config: RenderConfig
-) -> RenderOutput:
-    return render(gaussian_map.gaussians, camera, T_world_cam, config=render_config)
 
 
 @partial(jax.jit, static_argnums=2)

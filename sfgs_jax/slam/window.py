@@ -40,27 +40,29 @@ def share_landmarks(state: SlamState, target: int, source: int, found: Registrat
 
     A keypoint of either that shows a landmark already hands it on; others start one.
     """
-    a, b = state.keyframes[target].landmarks.copy(), state.keyframes[source].landmarks.copy()
-    inliers = np.asarray(found.matched.inliers)
-    slots_b = np.flatnonzero(inliers)
+    # Lists and sets, not arrays: what is looked up one by one is found in a fraction of the time.
+    a, b = (state.keyframes[i].landmarks.tolist() for i in (target, source))
+    in_a, in_b = set(a), set(b)
+    slots_b = np.flatnonzero(np.asarray(found.matched.inliers))
     slots_a = np.asarray(found.matched.index)[slots_b]
-    taken = set(b[b >= 0].tolist())
     number = state.num_landmarks
-    for slot_a, slot_b in zip(slots_a, slots_b, strict=True):
+    # One landmark has one place in an image.
+    for slot_a, slot_b in zip(slots_a.tolist(), slots_b.tolist(), strict=True):
         if b[slot_b] >= 0:
-            if a[slot_a] < 0 and b[slot_b] not in set(a.tolist()):
+            if a[slot_a] < 0 and b[slot_b] not in in_a:
                 a[slot_a] = b[slot_b]
+                in_a.add(a[slot_a])
             continue
         if a[slot_a] < 0:
             a[slot_a] = number
+            in_a.add(number)
             number += 1
-        # One landmark has one place in an image.
-        if a[slot_a] not in taken:
+        if a[slot_a] not in in_b:
             b[slot_b] = a[slot_a]
-            taken.add(int(a[slot_a]))
+            in_b.add(b[slot_b])
     keyframes = list(state.keyframes)
-    keyframes[target] = replace(keyframes[target], landmarks=a)
-    keyframes[source] = replace(keyframes[source], landmarks=b)
+    keyframes[target] = replace(keyframes[target], landmarks=np.asarray(a))
+    keyframes[source] = replace(keyframes[source], landmarks=np.asarray(b))
     return replace(state, keyframes=tuple(keyframes), num_landmarks=number)
 
 
