@@ -117,8 +117,8 @@ def with_poses(state: SlamState, poses: Float[np.ndarray, "n 7"]) -> SlamState:
 
 def travelled(keyframes: tuple[Keyframe, ...], start: int, end: int) -> float:
     """Length of the way from one keyframe to a later one, metres."""
-    positions = np.asarray([k.T_world_cam.wxyz_xyz[4:] for k in keyframes[start : end + 1]])
-    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    poses = np.asarray([k.T_world_cam.wxyz_xyz for k in keyframes[start : end + 1]])
+    return float(np.linalg.norm(np.diff(poses[:, 4:], axis=0), axis=1).sum())
 
 
 def relative_poses(

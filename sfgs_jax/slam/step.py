@@ -178,7 +178,10 @@ def _compile_ahead(state: SlamState) -> None:
     has_left(found, state.config)
     twin = _next_keyframe(twin, observation, again, 1)
     twin = replace(twin, pending=((0, 1),))
-    _advance_graph(twin, True)
+    twin, _ = _advance_graph(twin, True)
+    if twin.edges:
+        is_candidate(twin, 0, 1, found)
+        believe(replace(twin, candidates=twin.edges[:1] * state.config.graph.loop_support))
     warm_up(twin.mapping, twin.keyframe_poses[:1], state.config.mapping)
 
 

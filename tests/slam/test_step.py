@@ -9,6 +9,8 @@ import pytest
 
 from sfgs_jax import Frame, slam
 from sfgs_jax.geometry import se3
+from sfgs_jax.slam.graph import travelled
+from sfgs_jax.slam.loops import believe
 
 
 def follow(room, frames, config):
@@ -71,6 +73,11 @@ def test_nothing_compiles_from_the_third_frame_on(room, frames, config, compilat
     assert len(state.keyframes) > 2
     assert len(state.edges) > len(state.keyframes) - 1
     assert state.num_landmarks > 20
+    # Nor does what a loop takes that drift has opened.
+    _, closed = believe(replace(state, candidates=state.edges[:2]))
+    assert closed
+    travelled(state.keyframes, 0, 2)
+    assert not compilations
 
 
 def test_views_come_at_least_at_the_interval(room, frames, config):
