@@ -180,7 +180,6 @@ def _compile_ahead(state: SlamState) -> None:
     twin = replace(twin, pending=((0, 1),))
     twin, _ = _advance_graph(twin, True)
     if twin.edges:
-        is_candidate(twin, 0, 1, found)
         believe(replace(twin, candidates=twin.edges[:1] * state.config.graph.loop_support))
     warm_up(twin.mapping, twin.keyframe_poses[:1], state.config.mapping)
 
