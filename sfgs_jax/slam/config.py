@@ -200,7 +200,7 @@ class MappingConfig:
     steps_per_frame: int = 0
     """Optimisation steps after each tracked frame."""
     steps_per_view: int = 1
-    """Optimisation steps on a new view."""
+    """Optimisation steps on a new view, the first before Gaussians are set where they are missing."""
     final_steps: int = 1000
     """Optimisation steps over all views after the last frame."""
     newest_share: float = 0.3

@@ -52,16 +52,20 @@ def with_parameters(gaussians: Gaussians, values: Parameters) -> Gaussians:
 
 def empty_map(capacity: int) -> GaussianMap:
     """A map with room for `capacity` Gaussians and none in it."""
-    zeros = {name: jnp.zeros((capacity, *shape)) for name, shape in PARAMETER_SHAPES.items()}
+    # Made on the host: there, no shape needs a program of its own.
+    zeros = {
+        name: np.zeros((capacity, *shape), jnp.result_type(float)) for name, shape in PARAMETER_SHAPES.items()
+    }
     # Unused slots hold a unit quaternion and a unit scale: finite through every expression.
-    start = zeros | {"quaternions": zeros["quaternions"].at[:, 0].set(1.0)}
-    return GaussianMap(
-        gaussians=Gaussians(**start, valid=jnp.zeros(capacity, bool)),
+    identity = np.tile(np.eye(1, 4, dtype=jnp.result_type(float)), (capacity, 1))
+    room = GaussianMap(
+        gaussians=Gaussians(**zeros | {"quaternions": identity}, valid=np.zeros(capacity, bool)),
         first_moment=zeros,
         second_moment=zeros,
-        updates=jnp.zeros(capacity),
-        keyframes=jnp.zeros(capacity, jnp.int32),
+        updates=np.zeros(capacity, jnp.result_type(float)),
+        keyframes=np.zeros(capacity, np.int32),
     )
+    return jax.device_put(room)
 
 
 def grow(gaussian_map: GaussianMap) -> GaussianMap:

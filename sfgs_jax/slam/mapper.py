@@ -87,7 +87,7 @@ class Mapper:
         with self._stopwatch("view"):
             mapping = follow_keyframes(self._mapping, state.keyframe_poses)
             for view in views:
-                mapping = insert_view(mapping, view, self._camera, self._config.mapping)
+                mapping, _ = insert_view(mapping, view, self._camera, self._config.mapping)
         self._mapping = mapping
 
     def _optimise(self) -> None:

@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.geometry import Camera, Frame, clean_depth, downscale_depth, downscale_rgb, se3
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.gaussian_map import grow, move
 from sfgs_jax.slam.optimisation import optimise, prune
-from sfgs_jax.slam.seeding import seed, uncovered
+from sfgs_jax.slam.seeding import seed
 from sfgs_jax.slam.state import MapState, View
 from sfgs_jax.splatting import RenderConfig, pair_capacity
 
@@ -46,22 +46,25 @@ def follow_keyframes(mapping: MapState, keyframe_poses: Float[np.ndarray, "n 7"]
     return replace(mapping, keyframe_poses=keyframe_poses)
 
 
-def insert_view(mapping: MapState, view: View, camera: Camera, config: MappingConfig) -> MapState:
-    """Keep a view and set Gaussians where the map lacks its surface, growing the map where it is full.
+def insert_view(
+    mapping: MapState, view: View, camera: Camera, config: MappingConfig
+) -> tuple[MapState, float]:
+    """Keep a view, and set Gaussians where the map lacks its surface, growing the map where it is full.
+
+    The rendering that tells where is the one of the first optimisation step on the view.
 
     Args:
         mapping: the map, which knows of the view's keyframe.
         view: what to keep.
         camera: of the views.
         config: settings.
+
+    Returns:
+        The map state, and the loss of the map before.
     """
+    stepped, missing, loss = _step(mapping, view, camera, config)
+    mapping = stepped if config.steps_per_view else replace(mapping, pair_capacity=stepped.pair_capacity)
     depth, T_world_cam = jnp.asarray(view.depth), _pose(view, mapping)
-    while True:
-        room = RenderConfig(pair_capacity=mapping.pair_capacity)
-        missing, overflow = uncovered(mapping.map, depth, camera, T_world_cam, config.seeding, room)
-        if not int(overflow):
-            break
-        mapping = _with_room_for_pairs(mapping, camera, T_world_cam)
     rgb, keyframe = _colours(view.rgb), jnp.asarray(view.keyframe, jnp.int32)
     while True:
         seeded, dropped = seed(
@@ -71,12 +74,13 @@ def insert_view(mapping: MapState, view: View, camera: Camera, config: MappingCo
         if not int(dropped) or 2 * capacity > config.max_capacity:
             break
         mapping = replace(mapping, map=grow(mapping.map))
-    return replace(
+    mapping = replace(
         mapping,
         map=seeded,
         views=(*mapping.views, view),
         dropped_seeds=mapping.dropped_seeds + int(dropped),
     )
+    return mapping, loss
 
 
 def optimise_once(
@@ -97,24 +101,37 @@ def optimise_once(
     draw = np.random.default_rng([seed, mapping.num_steps])
     newest = draw.random() < newest_share
     chosen = mapping.views[-1 if newest else draw.integers(len(mapping.views))]
-    T_world_cam = _pose(chosen, mapping)
+    mapping, _, loss = _step(mapping, chosen, camera, config)
+    return mapping, loss
+
+
+def _step(
+    mapping: MapState, view: View, camera: Camera, config: MappingConfig
+) -> tuple[MapState, Bool[Array, "h w"], float]:
+    """An optimisation step on a view.
+
+    Returns:
+        The map state after it, where the map before it lacked the view's surface, and its loss.
+    """
+    T_world_cam = _pose(view, mapping)
     while True:
-        optimised, loss, overflow = optimise(
+        done = optimise(
             mapping.map,
-            jnp.asarray(chosen.rgb),
-            jnp.asarray(chosen.depth),
+            jnp.asarray(view.rgb),
+            jnp.asarray(view.depth),
             camera,
             T_world_cam,
             config.optimisation,
+            config.seeding,
             RenderConfig(pair_capacity=mapping.pair_capacity),
         )
-        if not int(overflow):
+        if not int(done.overflow):
             break
         mapping = _with_room_for_pairs(mapping, camera, T_world_cam)
-    num_steps = mapping.num_steps + 1
+    num_steps, optimised = mapping.num_steps + 1, done.map
     if num_steps % config.prune_interval == 0:
         optimised = prune(optimised, config.prune_opacity)
-    return replace(mapping, map=optimised, num_steps=num_steps), float(loss)
+    return replace(mapping, map=optimised, num_steps=num_steps), done.missing, float(done.loss)
 
 
 def warm_up(mapping: MapState, keyframe_poses: Float[np.ndarray, "n 7"], config: MappingConfig) -> None:

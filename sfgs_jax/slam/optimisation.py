@@ -1,14 +1,17 @@
 """Optimisation of the map: one rendering of one keyframe, one step of Adam."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from sfgs_jax.geometry import Camera
-from sfgs_jax.slam.config import OptimisationConfig
+from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
 from sfgs_jax.slam.gaussian_map import GaussianMap, parameters, with_parameters
+from sfgs_jax.slam.seeding import uncovered
 from sfgs_jax.splatting import RenderConfig, RenderOutput, l1, render, ssim
 
 
@@ -22,6 +25,23 @@ def mapping_loss(
     return colour + config.depth_weight * l1(out.depth, depth, measured)
 
 
+class Optimised(NamedTuple):
+    """What a step on a view gave.
+
+    Attributes:
+        map: after the step.
+        loss: before it.
+        missing: (H, W) pixels whose surface the map lacked before it.
+        overflow: pairs that did not fit; where that is not 0 all of this is of an incomplete rendering, and
+            the step should be repeated with more room.
+    """
+
+    map: GaussianMap
+    loss: Float[Array, ""]
+    missing: Bool[Array, "h w"]
+    overflow: Int[Array, ""]
+
+
 @eqx.filter_jit
 def optimise(
     gaussian_map: GaussianMap,
@@ -30,27 +50,25 @@ def optimise(
     camera: Camera,
     T_world_cam: jaxlie.SE3,
     config: OptimisationConfig,
+    seeding: SeedingConfig,
     render_config: RenderConfig,
-) -> tuple[GaussianMap, Float[Array, ""], Int[Array, ""]]:
+) -> Optimised:
     """One step of Adam on the Gaussians that a view sees.
 
     Each Gaussian counts its own steps: one that was set late starts with Adam's bias correction as one
-    that was set early did, and one out of view keeps its place and its moments.
-
-    Returns:
-        The map after the step, the loss before it, and the pairs that did not fit; where that is not
-        0 the step used an incomplete rendering and should be repeated with more room.
+    that was set early did, and one out of view keeps its place and its moments. The rendering that it takes
+    also tells where the map lacks the view's surface.
     """
     colours = rgb.astype(jnp.float32) / 255
 
-    def loss_of(values: dict[str, Array]) -> tuple[Array, Array]:
+    def loss_of(values: dict[str, Array]) -> tuple[Array, tuple[Array, Array]]:
         out = render(
             with_parameters(gaussian_map.gaussians, values), camera, T_world_cam, config=render_config
         )
-        return mapping_loss(out, colours, depth, config), out.overflow
+        return mapping_loss(out, colours, depth, config), (uncovered(out, depth, seeding), out.overflow)
 
     values = parameters(gaussian_map.gaussians)
-    (loss, overflow), gradients = jax.value_and_grad(loss_of, has_aux=True)(values)
+    (loss, (missing, overflow)), gradients = jax.value_and_grad(loss_of, has_aux=True)(values)
 
     seen = gaussian_map.gaussians.valid & jnp.any(gradients["means"] != 0, axis=-1)
     updates = gaussian_map.updates + seen.astype(jnp.float32)
@@ -72,7 +90,7 @@ def optimise(
         updates=updates,
         keyframes=gaussian_map.keyframes,
     )
-    return optimised, loss, overflow
+    return Optimised(optimised, loss, missing, overflow)
 
 
 _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15

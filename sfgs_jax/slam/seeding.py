@@ -9,26 +9,18 @@ from jaxtyping import Array, Bool, Float, Int
 from sfgs_jax.geometry import Camera, se3, surface
 from sfgs_jax.slam.config import SeedingConfig
 from sfgs_jax.slam.gaussian_map import PARAMETER_SHAPES, GaussianMap, Parameters
-from sfgs_jax.splatting import Gaussians, RenderConfig, render, rgb_to_sh
+from sfgs_jax.splatting import Gaussians, RenderOutput, rgb_to_sh
 
 
-@eqx.filter_jit
-def uncovered(
-    gaussian_map: GaussianMap,
-    depth: Float[Array, "h w"],
-    camera: Camera,
-    T_world_cam: jaxlie.SE3,
-    config: SeedingConfig,
-    render_config: RenderConfig,
-) -> tuple[Bool[Array, "h w"], Int[Array, ""]]:
+def uncovered(rendered: RenderOutput, depth: Float[Array, "h w"], config: SeedingConfig) -> Bool[Array, "h w"]:
     """Pixels whose surface the map lacks: too transparent there, or the map's surface lies behind.
 
-    Returns:
-        Those pixels, and the pairs that did not fit; where that is not 0 the map was not all seen.
+    Args:
+        rendered: the map as the view's camera sees it.
+        depth: of the view, metres along z; 0 where it is missing.
+        config: settings.
     """
-    rendered = render(gaussian_map.gaussians, camera, T_world_cam, config=render_config)
-    hidden = rendered.depth > depth * (1 + config.depth_margin)
-    return (rendered.alpha < config.min_alpha) | hidden, rendered.overflow
+    return (rendered.alpha < config.min_alpha) | (rendered.depth > depth * (1 + config.depth_margin))
 
 
 def _tangent_frames(normals: Float[Array, "n 3"], points: Float[Array, "n 3"]) -> Float[Array, "n 3 3"]:

@@ -154,9 +154,9 @@ def advance_map(
     with stages("view"):
         mapping = follow_keyframes(mapping, state.keyframe_poses)
         if view is not None:
-            mapping = insert_view(mapping, view, state.mapping_camera, config)
+            mapping, loss = insert_view(mapping, view, state.mapping_camera, config)
     with stages("mapping"):
-        extra = config.steps_per_view if view is not None else 0
+        extra = max(config.steps_per_view - 1, 0) if view is not None else 0
         for i in range(extra + config.steps_per_frame):
             share = 1.0 if i < extra else config.newest_share
             mapping, loss = optimise_once(

@@ -20,14 +20,11 @@ from sfgs_jax.factor_graph import (
 )
 from sfgs_jax.factor_graph.structure import CLUSTER_LANDMARKS
 from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.graph import relative_poses, with_poses
 from sfgs_jax.slam.nodes import Edge
 from sfgs_jax.slam.registration import Registration
 from sfgs_jax.slam.state import SlamState
-
-_PRIOR_SIGMAS = (0.02, 0.02)
-"""How firmly the window's poses stay where the rest of the graph has them: metres, radians."""
-
 
 _KERNEL_WIDTH = 3.0
 """Of the Huber kernel of a registration, standard deviations."""
@@ -115,7 +112,7 @@ def optimise_window(state: SlamState) -> SlamState:
     )
     free = (np.arange(size) > 0) & (np.arange(size) < len(members))
     graph = FactorGraph(
-        [observations, _registrations(state.edges, first, size), _priors(poses)],
+        [observations, _registrations(state.edges, first, size), _priors(poses, config.graph)],
         num_poses=size,
         num_landmarks=config.graph.max_landmarks,
         free_poses=free,
@@ -157,7 +154,11 @@ def _registrations(edges: tuple[Edge, ...], first: int, size: int) -> RelativePo
     return relative_poses(local, room, kernel="huber", kernel_width=_KERNEL_WIDTH)
 
 
-def _priors(poses: np.ndarray) -> PosePrior:
-    sigmas = np.repeat(_PRIOR_SIGMAS, 3)
+def _priors(poses: np.ndarray, config: GraphConfig) -> PosePrior:
+    """Where the rest of the graph has the poses, as firmly as a registration without noise would.
+
+    What the depth camera distorts, it distorts for the landmarks too, however many there are.
+    """
+    sigmas = np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3)
     information = jnp.diag(jnp.asarray(1 / sigmas**2, jnp.float32))
     return PosePrior(np.arange(len(poses)), jaxlie.SE3(jnp.asarray(poses)), information)

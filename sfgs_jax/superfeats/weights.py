@@ -4,7 +4,6 @@ from importlib.resources import files
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
@@ -42,7 +41,8 @@ def load_weights(path: Path | str | None = None, *, config: NetworkConfig | None
     wanted = {_name(place): leaf.shape for place, leaf in jax.tree_util.tree_leaves_with_path(shapes)}
     if {name: array.shape for name, array in found.items()} != wanted:
         raise InputError(f"{source} holds no SuperFeats network of these widths.")
-    return jax.tree_util.tree_map_with_path(lambda place, _: jnp.asarray(found[_name(place)]), shapes)
+    # All at once: one by one, each shape would be a program of its own.
+    return jax.device_put(jax.tree_util.tree_map_with_path(lambda place, _: found[_name(place)], shapes))
 
 
 def _name(place: tuple) -> str:
