@@ -6,8 +6,8 @@ By depth: pairs of frames far apart in time that see the same place are laid ove
 Points of one frame are carried to the other, and their distances from its surface, along the normals, are
 taken. No registration is involved, and no frame of a pair has to be a keyframe.
 
-By colour: ORB's keypoints, which the system does not use, of frames half a hundred apart are matched. A
-camera that sees a share of the matches where they are is found by PnP and RANSAC, without any of the poses;
+By colour: ORB's keypoints, which the system does not use, of frames fifty apart are matched. A camera
+that sees a share of the matches where they are is found by PnP and RANSAC, without any of the poses;
 those matches are carried from frame to frame by either poses, and how far they miss is taken, in pixels.
 
 Where the recording's own poses miss by more than the system's, an ATE measures the recording's poses as much
@@ -30,6 +30,7 @@ from sfgs_jax.geometry import Camera, FrameError, clean_depth
 from sfgs_jax.geometry.surface import surface
 from sfgs_jax.slam import SlamConfig, init
 from sfgs_jax.slam.step import follow
+from sfgs_jax.superfeats import extract_orb, match
 
 EVERY = 10
 """Frames from one that is looked at to the next."""
@@ -97,21 +98,15 @@ def misses(
     recording: Recording, i: int, j: int, poses: tuple[np.ndarray, np.ndarray]
 ) -> list[Float[np.ndarray, " n"]]:
     """Pixels by which the matches of two frames miss by each of the poses; none if there are few matches."""
-    orb, K = cv2.ORB_create(KEYPOINTS), np.asarray(recording.camera.matrix(), np.float64)
+    K = np.asarray(recording.camera.matrix(), np.float64)
     frames = recording[i], recording[j]
-    found = [
-        orb.detectAndCompute(cv2.cvtColor(np.uint8(255 * frame.rgb), cv2.COLOR_RGB2GRAY), None)
-        for frame in frames
-    ]
-    if any(descriptors is None for _, descriptors in found):
-        return []
-    matched = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(found[0][1], found[1][1])
-    from_, to = (
-        np.array([found[side][0][index].pt for index in indices]).reshape(-1, 2)
-        for side, indices in ((0, [m.queryIdx for m in matched]), (1, [m.trainIdx for m in matched]))
-    )
+    a, b = (extract_orb(np.asarray(frame.rgb), max_keypoints=KEYPOINTS) for frame in frames)
+    matches = match(a, b)
+    valid = np.asarray(matches.valid)
+    from_ = np.asarray(a.keypoints, np.float64)[valid]
+    to = np.asarray(b.keypoints, np.float64)[np.asarray(matches.index_b)[valid]]
     u, v = np.rint(from_).astype(int).T
-    z = frames[0].depth[v, u].astype(np.float64)
+    z = np.asarray(frames[0].depth, np.float64)[v, u]
     from_, to, z = from_[z > 0], to[z > 0], z[z > 0, None]
     points = np.hstack([(from_ - K[:2, 2]) / np.diag(K)[:2], np.ones_like(z)]) * z
     if len(points) < MIN_MATCHES:
@@ -119,9 +114,11 @@ def misses(
     _, _, _, agree = cv2.solvePnPRansac(points, to, K, None, reprojectionError=MATCHED_PIXELS)
     if agree is None or len(agree) < MIN_MATCHES:
         return []
-    carried = [np.linalg.inv(T[j]) @ T[i] for T in poses]
-    seen = [(points[agree[:, 0]] @ T[:3, :3].T + T[:3, 3]) @ K.T for T in carried]
-    return [np.linalg.norm(p[:, :2] / p[:, 2:] - to[agree[:, 0]], axis=1) for p in seen]
+    agreed = np.ravel(agree).astype(np.intp)
+    points, to = points[agreed], to[agreed]
+    motions = [np.linalg.inv(T[j]) @ T[i] for T in poses]
+    seen = [(points @ T[:3, :3].T + T[:3, 3]) @ K.T for T in motions]
+    return [np.linalg.norm(p[:, :2] / p[:, 2:] - to, axis=1) for p in seen]
 
 
 def tracked(name: str) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:

@@ -15,7 +15,7 @@ def cache_folder() -> Path:
 
 
 def enable_compilation_cache() -> None:
-    """Keep every program that took noticeable time to compile."""
+    """Keep every program: the dozens that compile in a moment add up to a second too."""
     jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -52,20 +52,21 @@ def with_parameters(gaussians: Gaussians, values: Parameters) -> Gaussians:
 
 def empty_map(capacity: int) -> GaussianMap:
     """A map with room for `capacity` Gaussians and none in it."""
+    dtype = jnp.result_type(float)
     # Made on the host: there, no shape needs a program of its own.
-    zeros = {
-        name: np.zeros((capacity, *shape), jnp.result_type(float)) for name, shape in PARAMETER_SHAPES.items()
-    }
+    zeros = jax.device_put(
+        {name: np.zeros((capacity, *shape), dtype) for name, shape in PARAMETER_SHAPES.items()}
+    )
     # Unused slots hold a unit quaternion and a unit scale: finite through every expression.
-    identity = np.tile(np.eye(1, 4, dtype=jnp.result_type(float)), (capacity, 1))
-    room = GaussianMap(
-        gaussians=Gaussians(**zeros | {"quaternions": identity}, valid=np.zeros(capacity, bool)),
+    identity = np.tile(np.eye(1, 4, dtype=dtype), (capacity, 1))
+    start = zeros | {"quaternions": jax.device_put(identity)}
+    return GaussianMap(
+        gaussians=Gaussians(**start, valid=jax.device_put(np.zeros(capacity, bool))),
         first_moment=zeros,
         second_moment=zeros,
-        updates=np.zeros(capacity, jnp.result_type(float)),
-        keyframes=np.zeros(capacity, np.int32),
+        updates=jax.device_put(np.zeros(capacity, dtype)),
+        keyframes=jax.device_put(np.zeros(capacity, np.int32)),
     )
-    return jax.device_put(room)
 
 
 def grow(gaussian_map: GaussianMap) -> GaussianMap:

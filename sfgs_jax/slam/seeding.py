@@ -12,7 +12,9 @@ from sfgs_jax.slam.gaussian_map import PARAMETER_SHAPES, GaussianMap, Parameters
 from sfgs_jax.splatting import Gaussians, RenderOutput, rgb_to_sh
 
 
-def uncovered(rendered: RenderOutput, depth: Float[Array, "h w"], config: SeedingConfig) -> Bool[Array, "h w"]:
+def uncovered(
+    rendered: RenderOutput, depth: Float[Array, "h w"], config: SeedingConfig
+) -> Bool[Array, "h w"]:
     """Pixels whose surface the map lacks: too transparent there, or the map's surface lies behind.
 
     Args:
