@@ -38,7 +38,7 @@ class StepInfo(NamedTuple):
         rmse: root mean square distance of those, metres.
         num_matches: keypoints matched with the reference's.
         num_inliers: matches that agree with the motion found.
-        loss: mapping loss before the last optimisation step; nan if there was none.
+        loss: of the map on the view last rendered, before the step on it; nan if none was.
     """
 
     T_world_cam: jaxlie.SE3
@@ -146,7 +146,7 @@ def advance_map(
     """What the map does after a frame: takes the keyframes' new poses and the view, and optimises.
 
     Returns:
-        The map state, and the loss before the last optimisation step (nan if there was none).
+        The map state, and its loss on the view last rendered, before the step on it (nan if none was).
     """
     config, loss = state.config.mapping, float("nan")
     if not tracked:

@@ -48,6 +48,21 @@ def test_a_view_the_map_covers_adds_almost_nothing(seeded, frames, config):
     assert after.mapping.num_gaussians - before < 0.1 * before
 
 
+@pytest.mark.parametrize("steps", [0, 1, 3])
+def test_the_first_step_on_a_new_view_is_for_what_the_map_had_before(seeded, frames, steps):
+    mapping = replace(seeded.config.mapping, view_interval=1, steps_per_view=steps)
+    before = replace(seeded, config=replace(seeded.config, mapping=mapping))
+    after, info = slam.step(before, frames[3])
+    assert info.new_view
+    assert after.mapping.num_steps == before.mapping.num_steps + steps
+    old, new = before.gaussians.valid, after.gaussians.valid & ~before.gaussians.valid
+    assert jnp.sum(new) > 20
+    assert jnp.max(jnp.where(old, after.mapping.map.updates, 0)) == steps
+    assert jnp.max(jnp.where(new, after.mapping.map.updates, 0)) == max(steps - 1, 0)
+    moved = jnp.any(after.gaussians.means != before.gaussians.means, axis=1)
+    assert bool(jnp.any(old & moved)) == (steps > 0)
+
+
 def test_optimisation_brings_the_rendering_closer(seeded, frames):
     before = render_psnr(seeded, frames[0])
     mapping, losses = seeded.mapping, []
