@@ -126,7 +126,7 @@ def follow(state: SlamState, frame: Frame, *, stages: Stages = untimed) -> Follo
         state, closed = _advance_graph(state, new_keyframe)
     log = state.log.with_frame(float(frame.timestamp), number, state.reference, state.T_reference_cam)
     view = None
-    if new_keyframe or _view_is_due(state):
+    if _view_is_due(state, new_keyframe):
         view = view_of(frame, state.mapping_factor, state.reference, state.T_reference_cam, number)
     # What was no keyframe now may have to be one if the next frame has moved on too far.
     last = observation if could_be and not new_keyframe else None
@@ -297,8 +297,12 @@ def _could_be_keyframe(tracking: Tracking, observation: Observation) -> bool:
     return firm and _shows_something(observation)
 
 
-def _view_is_due(state: SlamState) -> bool:
-    return state.num_frames - 1 - state.last_view >= state.config.mapping.view_interval
+def _view_is_due(state: SlamState, new_keyframe: bool) -> bool:
+    if state.log.newest < 0:
+        return True
+    since, interval = state.num_frames - 1 - state.last_view, state.config.mapping.view_interval
+    # A keyframe shows something new, but hardly where a view was just taken.
+    return since >= interval or (new_keyframe and 2 * since >= interval)
 
 
 def _shows_something(observation: Observation) -> bool:

@@ -87,6 +87,18 @@ def test_views_come_at_least_at_the_interval(room, frames, config):
     assert max(np.diff([*indices, len(frames)])) <= 3
 
 
+def test_a_keyframe_is_a_view_unless_one_was_just_taken(room, frames, config):
+    """With every frame a keyframe, views come after half of the interval."""
+    eager = replace(
+        config,
+        tracking=replace(config.tracking, keyframe_translation=0.0),
+        mapping=replace(config.mapping, view_interval=4),
+    )
+    state, _ = follow(room, frames[:7], eager)
+    assert len(state.keyframes) == 7
+    assert [view.frame for view in state.mapping.views] == [0, 2, 4, 6]
+
+
 def test_a_frame_of_something_else_is_lost_and_the_next_is_found_again(room, frames, config, rng):
     state, _ = follow(room, frames[:3], config)
     noise = rng.uniform(0.5, 5.0, frames[0].depth.shape).astype(np.float32)
