@@ -194,7 +194,8 @@ class MappingConfig:
     pair_capacity: int = 131_072
     """(tile, Gaussian) pairs a rendering has room for at first; it grows when a view needs more."""
     view_interval: int = 8
-    """A view is taken this many frames after the last one, or where a keyframe is after half as many."""
+    """A view is taken this many frames after the last one, and of keyframes, unless another frame since the
+    last keyframe was one less than half as many before."""
     views_in_memory: int = 128
     """Views and keyframes whose images stay in memory; those of older ones are kept on disk."""
     steps_per_frame: int = 0

@@ -298,11 +298,12 @@ def _could_be_keyframe(tracking: Tracking, observation: Observation) -> bool:
 
 
 def _view_is_due(state: SlamState, new_keyframe: bool) -> bool:
-    if state.log.newest < 0:
-        return True
     since, interval = state.num_frames - 1 - state.last_view, state.config.mapping.view_interval
-    # A keyframe shows something new, but hardly where a view was just taken.
-    return since >= interval or (new_keyframe and 2 * since >= interval)
+    if not new_keyframe or len(state.keyframes) == 1:
+        return new_keyframe or since >= interval
+    # A keyframe shows something new, unless between it and the one before there was a view just now.
+    between = state.last_view > state.keyframes[-2].frame
+    return not between or 2 * since >= interval
 
 
 def _shows_something(observation: Observation) -> bool:

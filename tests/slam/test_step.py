@@ -87,16 +87,27 @@ def test_views_come_at_least_at_the_interval(room, frames, config):
     assert max(np.diff([*indices, len(frames)])) <= 3
 
 
-def test_a_keyframe_is_a_view_unless_one_was_just_taken(room, frames, config):
-    """With every frame a keyframe, views come after half of the interval."""
+def test_keyframes_are_views_however_fast_they_come(room, frames, config):
+    eager = replace(config, tracking=replace(config.tracking, keyframe_translation=0.0))
+    state, _ = follow(room, frames[:5], eager)
+    assert len(state.keyframes) == 5
+    assert [view.frame for view in state.mapping.views] == [0, 1, 2, 3, 4]
+
+
+def test_a_keyframe_is_no_view_where_one_was_just_taken(room, frames, config):
+    never = replace(config.tracking, keyframe_inlier_fraction=0.0, keyframe_translation=9.0)
+    never = replace(never, keyframe_rotation=9.0)
+    regular = replace(config, tracking=never, mapping=replace(config.mapping, view_interval=4))
+    state, _ = follow(room, frames[:6], regular)
+    assert [view.frame for view in state.mapping.views] == [0, 4]
     eager = replace(
-        config,
-        tracking=replace(config.tracking, keyframe_translation=0.0),
-        mapping=replace(config.mapping, view_interval=4),
+        config, tracking=replace(config.tracking, keyframe_translation=0.0), mapping=regular.mapping
     )
-    state, _ = follow(room, frames[:7], eager)
-    assert len(state.keyframes) == 7
-    assert [view.frame for view in state.mapping.views] == [0, 2, 4, 6]
+    for number, views in ((5, [0, 4]), (6, [0, 4, 6])):
+        state, _ = follow(room, frames[:number], regular)
+        state, info = slam.step(replace(state, config=eager), frames[number])
+        assert info.new_keyframe
+        assert [view.frame for view in state.mapping.views] == views
 
 
 def test_a_frame_of_something_else_is_lost_and_the_next_is_found_again(room, frames, config, rng):
