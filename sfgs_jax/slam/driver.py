@@ -72,7 +72,7 @@ class Run:
     @property
     def keyframe_trajectory(self) -> Trajectory:
         """Poses of the frames that the map was made from."""
-        views = [view.frame for view in self.state.mapping.views]
+        views = sorted(view.frame for view in self.state.mapping.views)
         return self.trajectory[self.state.log.positions(views)]
 
     @property
@@ -153,11 +153,11 @@ def run(
     if realtime:
         # The recording's clock starts with its first frame, and does not wait for a compiler.
         _rehearse(camera, config)
-    mapper = Mapper(result.state, result.stopwatch) if realtime else None
+    mapper = Mapper(result.state, result.stopwatch, storage=storage) if realtime else None
     try:
-        for number, frame in frames:
+        for number, frame in mapper.yielding(frames) if mapper else frames:
             info = _advance(result, number, frame, mapper)
-            if storage is not None and mapper is None:
+            if storage is not None:
                 result.state = spill(result.state, storage)
             skipped = frame if isinstance(frame, FrameError) else None
             mapping = mapper.mapping if mapper else result.state.mapping
@@ -193,8 +193,7 @@ def _advance(run: Run, number: int, frame: Frame | FrameError, mapper: Mapper | 
             if mapper is None:
                 state, info = step(state, frame, stages=run.stopwatch)
             else:
-                with mapper.waiting():
-                    state, info, view = follow(state, frame, stages=run.stopwatch)
+                state, info, view = follow(state, frame, stages=run.stopwatch)
                 if info.tracked:
                     mapper.learn(state, view)
     # All at once, so that an interruption finds the frame either done or not begun. Numbers that were left

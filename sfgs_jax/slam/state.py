@@ -43,7 +43,7 @@ class MapState:
 
     Attributes:
         map: the Gaussians and their optimiser.
-        views: what the map is optimised against, oldest first.
+        views: what the map is optimised against, in the order in which it got them.
         keyframe_poses: (n, 7) where the Gaussians take the keyframes to be, as wxyz_xyz.
         num_steps: optimisation steps done.
         pair_capacity: room for (tile, Gaussian) pairs in a rendering; it grows when a view needs more.

@@ -18,7 +18,7 @@ from sfgs_jax.slam.array_file import read_arrays, write_arrays
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.nodes import Edge, Keyframe
 from sfgs_jax.slam.observation import Observation, blank_observation
-from sfgs_jax.slam.state import SlamState, View, init
+from sfgs_jax.slam.state import MapState, SlamState, View, init
 
 STATE_FILE = "state.arrays"
 
@@ -89,18 +89,25 @@ def load(folder: Path | str, config: SlamConfig) -> SlamState:
 def spill(state: SlamState, folder: Path) -> SlamState:
     """The state with the images of all but the newest keyframes and views on disk, not in memory."""
     kept = state.config.mapping.views_in_memory
-    keyframes, views = list(state.keyframes), list(state.mapping.views)
+    keyframes = list(state.keyframes)
     # What is beyond these was put away before.
     for i in _fresh(keyframes, kept, lambda k: k.observation.keypoints.depth):
         path = _image_file(folder, "keyframe", i)
         _write(path, keyframes[i].observation)
         keyframes[i] = replace(keyframes[i], observation=_read(path, keyframes[i].observation))
+    mapping = spill_views(state.mapping, folder, kept)
+    return replace(state, keyframes=tuple(keyframes), mapping=mapping)
+
+
+def spill_views(mapping: MapState, folder: Path, kept: int) -> MapState:
+    """The map state with the images of all but the newest views on disk, for a mapper of its own."""
+    views = list(mapping.views)
     for i in _fresh(views, kept, lambda v: v.rgb):
         path = _image_file(folder, "view", i)
         _write(path, (views[i].rgb, views[i].depth))
         rgb, depth = _read(path, (0, 0))
         views[i] = replace(views[i], rgb=rgb, depth=depth)
-    return replace(state, keyframes=tuple(keyframes), mapping=replace(state.mapping, views=tuple(views)))
+    return replace(mapping, views=tuple(views))
 
 
 def _fresh(items: list[Any], kept: int, leaf: Any) -> list[int]:

@@ -1,6 +1,7 @@
 """Mapping beside tracking, on the recording's own clock."""
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -18,11 +19,7 @@ def test_the_mapper_learns_and_optimises_until_it_is_stopped(room, frames, confi
     state, _, view = follow(slam.init(room.camera, config), frames[0])
     mapper = Mapper(state, Stopwatch())
     mapper.learn(state, view)
-    deadline = time.monotonic() + 120
-    while mapper.mapping.num_steps < 3 and time.monotonic() < deadline:
-        time.sleep(0.01)
-    with mapper.waiting():
-        pass
+    _wait(lambda: mapper.mapping.num_steps >= 3)
     mapping = mapper.stop()
     assert mapping.num_steps >= 3
     assert [view.frame for view in mapping.views] == [0]
@@ -30,13 +27,74 @@ def test_the_mapper_learns_and_optimises_until_it_is_stopped(room, frames, confi
     np.testing.assert_array_equal(mapping.keyframe_poses, state.keyframe_poses)
 
 
-def test_what_ends_the_mapper_reaches_its_owner(room, frames, config):
+def test_the_mapper_works_only_while_a_frame_is_waited_for(room, frames, config):
     state, _, view = follow(slam.init(room.camera, config), frames[0])
     mapper = Mapper(state, Stopwatch())
+    source = mapper.yielding(frames[:2])
+    next(source)
+    mapper.learn(state, view)
+    time.sleep(0.5)
+    assert mapper.mapping.num_steps == 0
+    assert not mapper.mapping.views
+    next(source)
+    assert next(source, None) is None
+    _wait(lambda: mapper.mapping.num_steps >= 2)
+    assert len(mapper.stop().views) == 1
+
+
+def test_keyframes_come_first_and_then_the_newest_other_views(room, frames, config, monkeypatch):
+    monkeypatch.setattr("sfgs_jax.slam.mapper._MOST_VIEWS_WAITING", 2)
+    state, _, keyframe = follow(slam.init(room.camera, config), frames[0])
+    assert keyframe is not None
+    mapper = Mapper(state, Stopwatch())
+    for _ in mapper.yielding(frames[:1]):
+        for number in (1, 2, 3):
+            mapper.learn(state, replace(keyframe, frame=number))
+        mapper.learn(state, keyframe)
+        mapping = mapper.stop()
+        assert [view.frame for view in mapping.views] == [0, 2, 3]
+
+
+def test_many_keyframes_are_not_kept_waiting(room, frames, config):
+    state, _, view = follow(slam.init(room.camera, config), frames[0])
+    mapper = Mapper(state, Stopwatch())
+    for _ in mapper.yielding(frames[:1]):
+        for _ in range(4):
+            mapper.learn(state, view)
+        _wait(lambda: len(mapper.mapping.views) >= 2)
+        assert len(mapper.mapping.views) == 2
+    mapper.stop()
+
+
+def test_the_mapper_keeps_images_of_old_views_on_disk(room, frames, config, tmp_path):
+    config = replace(config, mapping=replace(config.mapping, views_in_memory=1))
+    state, _, view = follow(slam.init(room.camera, config), frames[0])
     assert view is not None
-    mapper.learn(state, replace(view, keyframe=5))
-    with pytest.raises(IndexError):
+    mapper = Mapper(state, Stopwatch(), storage=tmp_path)
+    mapper.learn(state, view)
+    mapper.learn(state, replace(view, frame=1))
+    first, second = mapper.stop().views
+    assert isinstance(first.rgb, np.memmap)
+    assert not isinstance(second.rgb, np.memmap)
+    np.testing.assert_array_equal(first.rgb, view.rgb)
+
+
+def test_what_ends_the_mapper_reaches_its_owner(room, frames, config, monkeypatch):
+    def fail(*_: Any) -> None:
+        raise RuntimeError("no room")
+
+    monkeypatch.setattr("sfgs_jax.slam.mapper.insert_view", fail)
+    state, _, view = follow(slam.init(room.camera, config), frames[0])
+    mapper = Mapper(state, Stopwatch())
+    mapper.learn(state, view)
+    with pytest.raises(RuntimeError, match="no room"):
         mapper.stop()
+
+
+def _wait(until: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 120
+    while not until() and time.monotonic() < deadline:
+        time.sleep(0.01)
 
 
 class Slow:
@@ -97,3 +155,4 @@ def test_a_run_in_real_time_tracks_and_maps(room, frames, config):
     truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses
     kept = [i for i, _ in numbered]
     np.testing.assert_allclose(result.trajectory.positions, truth[kept, :3, 3], atol=0.03)
+    assert np.all(np.diff(result.keyframe_trajectory.timestamps) > 0)
