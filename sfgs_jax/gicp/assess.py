@@ -28,10 +28,10 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
     along = weight_matrices(source.normals, pairs.normals, residual=residual, epsilon=config.epsilon)
     weights = confidence(source, pairs, problem.width, config) * share
     squares = distance**2
-    informing, fixing, inliers, *scalars = moment_sums(
+    informing, weighing, inliers, *scalars = moment_sums(
         problem.moments,
         along * weights,
-        along * share,
+        weights,
         share,
         share * squares,
         weights * squares,
@@ -43,12 +43,16 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
     fraction = count / jnp.maximum(points, 1)
     rmse = jnp.sqrt(missed / jnp.maximum(count, 1))
     excess = weighed / jnp.maximum(expected, 1)
-    information = hessian(informing) / (problem.shared * jnp.maximum(excess, 0.01))
-
-    spread = jnp.sqrt(squared_radius(inliers, least=1.0))
+    spread = jnp.sqrt(squared_radius(weighing, least=1e-6))
     unit = jnp.where(jnp.arange(6) < 3, 1, 1 / jnp.maximum(spread, 1e-3))
-    geometry = hessian(fixing) * unit[:, None] * unit[None, :] / jnp.maximum(count, 1)
-    values, vectors = jnp.linalg.eigh(geometry)
+    outer = unit[:, None] * unit[None, :]
+    # Weighed like the residuals: errors of the near points' normals drown what a few far points know.
+    geometry = hessian(informing) * outer
+    values, vectors = jnp.linalg.eigh(geometry / jnp.maximum(total(weighing), 1e-6))
+    free = values < config.min_observability
+    fixed = jnp.where(free, 0, vectors)
+    known = fixed @ fixed.T
+    information = known @ geometry @ known / outer / (problem.shared * jnp.maximum(excess, 0.01))
     # Many points may have the same nearest one: a list of a few of them supports nothing.
     search = problem.target.search
     supported = count * problem.thinned >= config.min_inliers
@@ -64,5 +68,5 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
         converged,
         values,
         vectors * unit[:, None],
-        values < config.min_observability,
+        free,
     )

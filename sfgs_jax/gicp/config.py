@@ -117,9 +117,9 @@ class GicpConfig:
     damping: float = 1e-4
     """Added to the normal equations, as a share of their diagonal; where Levenberg-Marquardt starts."""
 
-    min_observability: float = 0.005
+    min_observability: float = 0.0025
     """A direction of motion is free if the distance along the normals that a unit motion makes has a smaller
-    mean square: errors of the normals of 0.05 rad make 0.0025 of none."""
+    mean square, weighed like the residuals: errors of the normals of 0.05 rad make as much of none."""
 
     step_observability: float = 0.0005
     """No step goes along a direction below this. It is lower because correspondences far from the answer are

@@ -42,6 +42,8 @@ class FeaturesConfig:
     """With fewer inliers than this the keypoints give no motion."""
     min_inlier_share: float = 0.25
     """... and neither with a smaller share of all matches."""
+    min_inlier_share_alone: float = 0.4
+    """... and where the surface leaves a direction free, in which they would decide alone, below this share."""
 
 
 @dataclass(frozen=True)

@@ -82,10 +82,8 @@ def register(
     """
     features = config.features
     matched = motion_from_keypoints(source.keypoints, target.keypoints, guess, camera, features)
-    enough = matched.num_inliers.astype(float) >= features.min_inlier_share * matched.num_matches.astype(
-        float
-    )
-    keypoints = (matched.num_inliers >= features.min_inliers) & enough
+    share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
+    keypoints = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
     T = _choose(keypoints, matched.T_target_source, guess)
     if not config.use_surface:
         carrier = jnp.where(keypoints, int(Carrier.KEYPOINTS), int(Carrier.NONE))
@@ -98,15 +96,16 @@ def register(
     # Keypoints bring the start within reach of the finer levels.
     coarsest = jnp.where(keypoints, 1, config.gicp.levels - 1)
     result = gicp.align(source.cloud, target.cloud, T, prior=prior, coarsest=coarsest, config=config.gicp)
+    fits = result.inlier_fraction >= config.min_inlier_fraction
+    free = jnp.sum(result.free)
+    keypoints &= (free == 0) | (share >= features.min_inlier_share_alone) | ~fits
     found = _choose(keypoints, result.T_target_source, _held(result, guess))
-    finite = jnp.all(jnp.isfinite(found.wxyz_xyz))
-    surface = finite & (result.inlier_fraction >= config.min_inlier_fraction)
+    surface = fits & jnp.all(jnp.isfinite(found.wxyz_xyz))
     # Many matches that agree on another motion prove the surface's alignment wrong.
     agree = _apart(matched.T_target_source, found) < config.max_disagreement
     near = _apart(guess, found) < config.max_correction_alone
     alone = near & (result.inlier_fraction >= config.min_inlier_fraction_alone)
     surface &= jnp.where(keypoints, agree, alone)
-    free = jnp.sum(result.free)
     unaided = jnp.where(free > 0, int(Carrier.COASTING), int(Carrier.SURFACE))
     carrier = jnp.where(
         surface,
