@@ -98,6 +98,19 @@ def motion_from_keypoints(
     )
 
 
+def num_explained(
+    T_target_source: jaxlie.SE3,
+    matched: MatchedMotion,
+    source: Keypoints,
+    target: Keypoints,
+    camera: Camera,
+    config: FeaturesConfig,
+) -> Int[Array, ""]:
+    """How many of the inliers another motion explains too."""
+    rows = _Rows(target.points[matched.index], source.features.keypoints, source.depth, matched.inliers)
+    return jnp.sum(_explained(T_target_source, rows, camera, config, config.inlier_pixels), dtype=jnp.int32)
+
+
 def _rigid_motion(
     source: Keypoints, rows: _Rows, similarity: Float[Array, " k"], config: FeaturesConfig
 ) -> jaxlie.SE3:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sfgs_jax import gicp
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam.config import TrackingConfig
-from sfgs_jax.slam.matched_motion import MatchedMotion, motion_from_keypoints
+from sfgs_jax.slam.matched_motion import MatchedMotion, motion_from_keypoints, num_explained
 from sfgs_jax.slam.observation import Observation
 
 
@@ -101,8 +101,10 @@ def register(
     keypoints &= (free == 0) | (share >= features.min_inlier_share_alone) | ~fits
     found = _choose(keypoints, result.T_target_source, _held(result, guess))
     surface = fits & jnp.all(jnp.isfinite(found.wxyz_xyz))
-    # Many matches that agree on another motion prove the surface's alignment wrong.
-    agree = _apart(matched.T_target_source, found) < config.max_disagreement
+    # Many matches that agree on another motion prove the surface's alignment wrong, if they don't bear it out.
+    borne_out = num_explained(found, matched, source.keypoints, target.keypoints, camera, features)
+    close = _apart(matched.T_target_source, found) < config.max_disagreement
+    agree = close | (2 * borne_out > matched.num_inliers)
     near = _apart(guess, found) < config.max_correction_alone
     alone = near & (result.inlier_fraction >= config.min_inlier_fraction_alone)
     surface &= jnp.where(keypoints, agree, alone)
