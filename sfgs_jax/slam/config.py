@@ -43,7 +43,7 @@ class FeaturesConfig:
     min_inlier_share: float = 0.25
     """... and neither with a smaller share of all matches."""
     min_inlier_share_alone: float = 0.4
-    """... and where the surface leaves a direction free, in which they would decide alone, below this share."""
+    """... and where the surface leaves a direction free, in which they decide alone, than this."""
 
 
 @dataclass(frozen=True)

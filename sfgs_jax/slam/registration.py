@@ -101,7 +101,7 @@ def register(
     keypoints &= (free == 0) | (share >= features.min_inlier_share_alone) | ~fits
     found = _choose(keypoints, result.T_target_source, _held(result, guess))
     surface = fits & jnp.all(jnp.isfinite(found.wxyz_xyz))
-    # Many matches that agree on another motion prove the surface's alignment wrong, if they don't bear it out.
+    # Many matches that agree on another motion, and don't bear this one out, prove the surface's wrong.
     borne_out = num_explained(found, matched, source.keypoints, target.keypoints, camera, features)
     close = _apart(matched.T_target_source, found) < config.max_disagreement
     agree = close | (2 * borne_out > matched.num_inliers)

@@ -12,7 +12,7 @@ from sfgs_jax.gicp import GicpConfig, MotionPrior, OrganisedCloud, RegistrationR
 from sfgs_jax.gicp.align import _align
 from sfgs_jax.gicp.correspondences import associate, samples_of, target_of
 from sfgs_jax.gicp.level import THINNING
-from tests.gicp.scenes import WALL, cast, motion_error
+from tests.gicp.scenes import CORNER, WALL, cast, motion_error
 
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
 # Images a quarter as wide have points to spare at the finest level alone. Steps go on until they are shorter
@@ -183,6 +183,24 @@ def test_a_bare_wall_leaves_motion_along_it_free_and_says_so():
         assert np.abs(shift).max() < 1e-3
     values = np.linalg.eigvalsh(np.asarray(result.information, np.float64))
     assert values[2] < 1e-3 * values[3]
+
+
+def test_what_is_far_does_not_fix_the_turn_about_a_near_sphere():
+    """A few distances good to centimetres say less than the errors of many near points' normals."""
+    config = replace(
+        CONFIG, noise=GicpConfig().noise, noise_per_square_metre=GicpConfig().noise_per_square_metre
+    )
+    room = [(normal, 5 * distance) for normal, distance in CORNER]
+    centre, radius = np.asarray([0.0, 0.0, 1.6]), 0.6
+    bare, near = (cast(CAMERA, planes=room, spheres=spheres) for spheres in ([], [(centre, radius)]))
+    assert not np.any(align(*clouds(bare, bare, config), se3.identity(), config=config).free)
+    result = align(*clouds(near, near, config), se3.identity(), config=config)
+    np.testing.assert_array_equal(result.free, [True] * 3 + [False] * 3)
+    turn = np.asarray([0.0, 1.0, 0.0])
+    about_centre = np.concatenate([-np.cross(turn, centre), turn])
+    about_camera = np.concatenate([np.zeros(3), turn])
+    information = np.asarray(result.information, np.float64)
+    assert about_centre @ information @ about_centre < 1e-3 * (about_camera @ information @ about_camera)
 
 
 def test_a_prior_without_information_is_none():

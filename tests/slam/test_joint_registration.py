@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from sfgs_jax import Camera, Frame, slam
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam import Carrier, observe, register
-from sfgs_jax.slam.matched_motion import motion_from_keypoints
+from sfgs_jax.slam.matched_motion import motion_from_keypoints, num_explained
 from sfgs_jax.slam.observation import load_extractor
 
 CAMERA = Camera(160.0, 160.0, 79.5, 59.5, width=160, height=120)
@@ -67,6 +68,38 @@ def test_along_a_textured_wall_the_keypoints_decide(rng, look, tracking):
     )
     assert surface[0] < 1e-3 * surface[-1]
     assert both[0] > 100
+
+
+@pytest.mark.parametrize(("wrong", "carrier"), [(0.4, Carrier.BOTH), (0.65, Carrier.COASTING)])
+def test_keypoints_decide_alone_only_if_most_of_them_agree(rng, look, tracking, wrong, carrier):
+    image = texture(rng)
+    source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
+    points = target.keypoints.points
+    astray = jnp.asarray(rng.random(len(points)) < wrong)
+    points = jnp.where(astray[:, None], points[rng.permutation(len(points))], points)
+    target = eqx.tree_at(lambda o: o.keypoints.points, target, points)
+    guess = se3.exp(jnp.asarray([0.05, -0.02, 0.0, 0.0, 0.0, 0.0]))
+    found = register(source, target, guess, CAMERA, tracking)
+    agreeing = int(found.matched.num_inliers) / int(found.matched.num_matches)
+    assert (agreeing > tracking.features.min_inlier_share_alone) == (carrier == Carrier.BOTH)
+    assert agreeing > tracking.features.min_inlier_share
+    assert int(found.carrier) == carrier
+    expected = SHIFT if carrier == Carrier.BOTH else (0.05, -0.02, 0.0)
+    np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], expected, atol=0.01)
+
+
+def test_inliers_that_another_motion_explains_are_counted(rng, look, tracking):
+    image = texture(rng)
+    source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
+    matched = motion_from_keypoints(
+        source.keypoints, target.keypoints, se3.identity(), CAMERA, tracking.features
+    )
+
+    def explained(T):
+        return int(num_explained(T, matched, source.keypoints, target.keypoints, CAMERA, tracking.features))
+
+    assert explained(matched.T_target_source) == int(matched.num_inliers) > 50
+    assert explained(se3.identity()) == 0  # five pixels away
 
 
 def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, tracking):
