@@ -1,6 +1,7 @@
 """How well an alignment fits, and how firmly that fixes the motion."""
 
 import jax.numpy as jnp
+from jax import lax
 
 from sfgs_jax.gicp.config import GicpConfig
 from sfgs_jax.gicp.level import LevelProblem
@@ -50,7 +51,8 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
     geometry = hessian(informing) * outer
     values, vectors = jnp.linalg.eigh(geometry / jnp.maximum(total(weighing), 1e-6))
     free = values < config.min_observability
-    fixed = jnp.where(free, 0, vectors)
+    # Where two directions are fixed equally well, eigenvectors have no derivative.
+    fixed = lax.stop_gradient(jnp.where(free, 0, vectors))
     known = fixed @ fixed.T
     information = known @ geometry @ known / outer / (problem.shared * jnp.maximum(excess, 0.01))
     # Many points may have the same nearest one: a list of a few of them supports nothing.

@@ -25,8 +25,8 @@ _MOST_VIEWS_WAITING = 64
 class Mapper:
     """Owns a run's map while it lives: takes views and poses, and optimises in between.
 
-    One view is inserted or one optimisation step done at a time, begun while the tracker waits for a frame:
-    two computations that share the cores take longer than one after the other, and frames don't wait.
+    One view is inserted or one optimisation step done at a time, and begun only while the tracker waits for
+    a frame: views can wait longer than frames.
     """
 
     def __init__(self, state: SlamState, stopwatch: Stopwatch, *, storage: Path | None = None) -> None:

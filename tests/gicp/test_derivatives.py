@@ -91,7 +91,7 @@ def test_degenerate_input_has_finite_gradients(what):
     def total(depth):
         cloud = prepare(depth, CAMERA, config=flat)
         result = align(cloud, cloud, se3.identity(), config=flat)
-        return jnp.sum(result.T_target_source.wxyz_xyz**2)
+        return jnp.sum(result.T_target_source.wxyz_xyz**2) + jnp.trace(result.information)
 
     assert np.all(np.isfinite(jax.grad(total)(jnp.asarray(depth))))
 
