@@ -42,7 +42,7 @@ class FeaturesConfig:
     """With fewer inliers than this the keypoints give no motion."""
     min_inlier_share: float = 0.25
     """... and neither with a smaller share of all matches."""
-    min_inlier_share_alone: float = 0.4
+    min_inlier_share_alone: float = 0.33
     """... and where the surface leaves a direction free, in which they decide alone, than this."""
 
 
