@@ -98,6 +98,7 @@ def register(
     result = gicp.align(source.cloud, target.cloud, T, prior=prior, coarsest=coarsest, config=config.gicp)
     fits = result.inlier_fraction >= config.min_inlier_fraction
     free = jnp.sum(result.free)
+    # Where the surface leaves a direction free nothing would contradict a few matches that are wrong alike.
     keypoints &= (free == 0) | (share >= features.min_inlier_share_alone) | ~fits
     found = _choose(keypoints, result.T_target_source, _held(result, guess))
     surface = fits & jnp.all(jnp.isfinite(found.wxyz_xyz))

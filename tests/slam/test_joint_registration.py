@@ -71,7 +71,7 @@ def test_along_a_textured_wall_the_keypoints_decide(rng, look, tracking):
 
 
 @pytest.mark.parametrize(("wrong", "carrier"), [(0.4, Carrier.BOTH), (0.7, Carrier.COASTING)])
-def test_keypoints_decide_alone_only_if_most_of_them_agree(rng, look, tracking, wrong, carrier):
+def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, tracking, wrong, carrier):
     image = texture(rng)
     source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
     points = target.keypoints.points
