@@ -87,6 +87,7 @@ def _align(
         frames.given_information(result.information),
         result.rmse,
         result.inlier_fraction,
+        result.overlap,
         result.iterations,
         result.converged,
         result.observability,

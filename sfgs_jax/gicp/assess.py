@@ -37,10 +37,11 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
         share * squares,
         weights * squares,
         weights * pairs.variance,
+        pairs.met.astype(share.dtype),
         source.valid.astype(share.dtype),
     )
     count = total(inliers)
-    missed, weighed, expected, points = map(total, scalars)
+    missed, weighed, expected, met, points = map(total, scalars)
     fraction = count / jnp.maximum(points, 1)
     rmse = jnp.sqrt(missed / jnp.maximum(count, 1))
     excess = weighed / jnp.maximum(expected, 1)
@@ -66,6 +67,7 @@ def assess(problem: LevelProblem, found: Located, config: GicpConfig) -> Registr
         information,
         rmse,
         fraction,
+        met / jnp.maximum(points, 1),
         found.iterations,
         converged,
         values,

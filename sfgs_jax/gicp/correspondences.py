@@ -70,6 +70,7 @@ class Correspondences(eqx.Module):
         normals: (3, N) target normals; the source's own where the target has none.
         shapes: (6, N) covariances of a Gaussian target, the largest variance about 1; else None.
         variance: (N,) variance expected of a distance along the normal, square metres.
+        met: (N,) whether there is any, near or not.
         found: (N,) whether there is one that passes the gates.
     """
 
@@ -77,6 +78,7 @@ class Correspondences(eqx.Module):
     normals: Float[Array, "3 N"]
     shapes: Symmetric | None
     variance: Float[Array, " N"]
+    met: Bool[Array, " N"]
     found: Bool[Array, " N"]
 
 
@@ -135,9 +137,10 @@ def associate(
     pairs = pair(source, target, T_target_source, index, inside)
     offset = source.points - pairs.points
     near = dot(offset, offset) < target.max_distance**2
-    # A pixel without a surface has a zero normal, which fails here.
     alike = dot(pairs.normals, source.normals) > target.min_normal_cosine
-    return eqx.tree_at(lambda p: p.found, pairs, inside & near & alike), index
+    # A pixel without a surface has a zero normal, which is like none.
+    met = inside & (dot(pairs.normals, pairs.normals) > 0)
+    return eqx.tree_at(lambda p: (p.met, p.found), pairs, (met, inside & near & alike)), index
 
 
 def _find(
@@ -217,7 +220,7 @@ def pair(
     elif width == 9:
         shapes = turned[3:]
     variance = jnp.broadcast_to(source.variance + target.variance, found.shape)
-    return Correspondences(points, normals, shapes, variance, found)
+    return Correspondences(points, normals, shapes, variance, found, found)
 
 
 def _turn_symmetric(rotation: Float[Array, "3 3"]) -> Float[Array, "6 6"]:

@@ -16,6 +16,9 @@ class RegistrationResult(eqx.Module):
         rmse: root mean square distance along the normals of the inliers, metres.
         inlier_fraction: share of the source's points, of a sample at the finest level, that lie on the
             target.
+        overlap: share of them that meet a surface of the target, near or not: in an organised target those
+            whose pixel shows one, in an unorganised one those with a point in reach. The others may be right
+            without being inliers, so what speaks against a motion is `inlier_fraction` below this share.
         iterations: steps over all levels.
         converged: the last steps were short, and there are enough inliers.
         observability: (6,) ascending, how well the geometry fixes each direction of motion: the mean of the
@@ -30,6 +33,7 @@ class RegistrationResult(eqx.Module):
     information: Float[Array, "6 6"]
     rmse: Float[Array, ""]
     inlier_fraction: Float[Array, ""]
+    overlap: Float[Array, ""]
     iterations: Int[Array, ""]
     converged: Bool[Array, ""]
     observability: Float[Array, "6"]

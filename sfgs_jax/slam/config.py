@@ -38,8 +38,10 @@ class FeaturesConfig:
     """... and its inverse depth is off by fewer standard deviations than this."""
     correlation: float = 4.0
     """How many matches share one error: those of keypoints close to each other are off together."""
-    min_inliers: int = 20
+    min_inliers: int = 10
     """With fewer inliers than this the keypoints give no motion."""
+    min_inliers_alone: int = 20
+    """... and with fewer than this none that stands without the surface, or against it."""
     min_inlier_share: float = 0.25
     """... and neither with a smaller share of all matches."""
     min_inlier_share_alone: float = 0.33
@@ -60,10 +62,15 @@ class TrackingConfig:
     """Standard deviation of the motion model's guess, metres and radians."""
     min_inlier_fraction: float = 0.3
     """GICP has failed where the share of matched points is below this."""
-    min_inlier_fraction_alone: float = 0.5
+    min_inlier_fraction_alone: float = 0.4
     """... and, where no keypoints bear it out, below this share: surfaces fit in many places."""
+    min_agreement_alone: float = 0.75
+    """... or below this share of the points that the reference has a surface for."""
     max_correction_alone: float = 0.3
     """... or where it then ends farther from where it started, metres or radians."""
+    search_angle: float = 0.2
+    """How far a lost frame's guesses are turned up, down and sideways, radians: GICP ends where it should
+    from starts that are off by about this."""
     max_disagreement: float = 0.1
     """GICP has failed where keypoints give a motion that differs by more, metres or radians."""
     max_coasting: int = 15

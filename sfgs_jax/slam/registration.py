@@ -84,17 +84,18 @@ def register(
     matched = motion_from_keypoints(source.keypoints, target.keypoints, guess, camera, features)
     share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
     keypoints = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
+    enough = matched.num_inliers >= features.min_inliers_alone
     T = _choose(keypoints, matched.T_target_source, guess)
     if not config.use_surface:
-        carrier = jnp.where(keypoints, int(Carrier.KEYPOINTS), int(Carrier.NONE))
+        carrier = jnp.where(keypoints & enough, int(Carrier.KEYPOINTS), int(Carrier.NONE))
         zero = jnp.zeros(())
         return Registration(T, jnp.zeros((6, 6)), matched, carrier, zero, zero, jnp.asarray(0))
 
     # Without keypoints the guess itself is a weak prior, which decides where the surface does not.
     weak = jnp.eye(6) / config.guess_sigma**2
     prior = gicp.MotionPrior(T, jnp.where(keypoints, matched.information, weak))
-    # Keypoints bring the start within reach of the finer levels.
-    coarsest = jnp.where(keypoints, 1, config.gicp.levels - 1)
+    # Enough keypoints bring the start within reach of the finer levels.
+    coarsest = jnp.where(keypoints & enough, 1, config.gicp.levels - 1)
     result = gicp.align(source.cloud, target.cloud, T, prior=prior, coarsest=coarsest, config=config.gicp)
     fits = result.inlier_fraction >= config.min_inlier_fraction
     free = jnp.sum(result.free)
@@ -105,15 +106,18 @@ def register(
     # Many matches that agree on another motion, and don't bear this one out, prove the surface's wrong.
     borne_out = num_explained(found, matched, source.keypoints, target.keypoints, camera, features)
     close = _apart(matched.T_target_source, found) < config.max_disagreement
-    agree = close | (2 * borne_out > matched.num_inliers)
+    agree = keypoints & (close | (2 * borne_out > matched.num_inliers))
+    contradicted = keypoints & enough & ~agree
     near = _apart(guess, found) < config.max_correction_alone
-    alone = near & (result.inlier_fraction >= config.min_inlier_fraction_alone)
-    surface &= jnp.where(keypoints, agree, alone)
+    # What lies outside the target's image says nothing, what it shows and doesn't bear out does.
+    least = jnp.maximum(config.min_inlier_fraction_alone, config.min_agreement_alone * result.overlap)
+    alone = near & (result.inlier_fraction >= least)
+    surface &= agree | (alone & ~contradicted)
     unaided = jnp.where(free > 0, int(Carrier.COASTING), int(Carrier.SURFACE))
     carrier = jnp.where(
         surface,
-        jnp.where(keypoints, int(Carrier.BOTH), unaided),
-        jnp.where(keypoints, int(Carrier.KEYPOINTS), int(Carrier.NONE)),
+        jnp.where(agree, int(Carrier.BOTH), unaided),
+        jnp.where(keypoints & enough, int(Carrier.KEYPOINTS), int(Carrier.NONE)),
     )
     return Registration(
         _choose(surface, found, T),

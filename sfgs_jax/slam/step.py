@@ -16,7 +16,7 @@ from sfgs_jax.slam.nodes import Keyframe
 from sfgs_jax.slam.observation import Observation, observe
 from sfgs_jax.slam.registration import Carrier, extent, register
 from sfgs_jax.slam.state import MapState, SlamState, View
-from sfgs_jax.slam.tracking import Tracking, has_left, motion_since, relocalise, track
+from sfgs_jax.slam.tracking import Tracking, has_left, motion_since, relocalise, search, track
 from sfgs_jax.slam.window import optimise_window, share_landmarks
 
 Stages = Callable[[str], AbstractContextManager[None]]
@@ -185,7 +185,7 @@ def _compile_ahead(state: SlamState) -> None:
 
 
 def _find(state: SlamState, observation: Observation) -> tuple[SlamState, Tracking]:
-    """Find a frame: in the reference, by way of the frame before, or in any keyframe.
+    """Find a frame: in the reference, by way of the frame before, in any keyframe, or by searching.
 
     Returns:
         The state, in which the frame before is the newest keyframe if it was needed, and what was found.
@@ -193,14 +193,17 @@ def _find(state: SlamState, observation: Observation) -> tuple[SlamState, Tracki
     if not state.keyframes:
         return state, _first(observation)
     tracking = track(state, observation)
-    if tracking.carrier == Carrier.NONE and state.last is not None:
-        bridged = _with_last_as_keyframe(state, state.last)
-        by_last = track(bridged, observation)
-        if by_last.carrier != Carrier.NONE:
-            return bridged, by_last
-    if tracking.carrier == Carrier.NONE:
-        tracking = relocalise(state, observation) or tracking
-    return state, tracking
+    if tracking.carrier != Carrier.NONE:
+        return state, tracking
+    bridged = state if state.last is None else _with_last_as_keyframe(state, state.last)
+    by_last = tracking if state.last is None else track(bridged, observation)
+    if by_last.carrier != Carrier.NONE:
+        return bridged, by_last
+    relocalised = relocalise(state, observation)
+    if relocalised is not None:
+        return state, relocalised
+    searched = search(bridged, observation)
+    return (state, tracking) if searched is None else (bridged, searched)
 
 
 def _with_last_as_keyframe(state: SlamState, last: Observation) -> SlamState:

@@ -89,6 +89,25 @@ def relocalise(state: SlamState, observation: Observation) -> Tracking | None:
     return None
 
 
+def search(state: SlamState, observation: Observation) -> Tracking | None:
+    """Look for a lost frame where the camera was last, had it turned: what no keypoints match has to be found
+    by its surface, which ends where it should only from a start near it."""
+    config = state.config.tracking
+    reference = state.keyframes[state.reference].observation
+    for turn in config.search_angle * _TURNS:
+        start = se3.compose(state.T_reference_cam, se3.exp(turn))
+        found = register(observation, reference, start, state.camera, config)
+        carrier = _believed(found, state)
+        # Nothing speaks for the guess where the surface leaves a direction free.
+        if carrier not in (Carrier.NONE, Carrier.COASTING):
+            return Tracking(state.reference, found, carrier, False)
+    return None
+
+
+_TURNS = np.concatenate([np.eye(6)[3:5], -np.eye(6)[3:5]]).astype(np.float32)
+"""Tangents of turns about the camera's x and y axes, both ways."""
+
+
 def similarities(state: SlamState, observation: Observation) -> np.ndarray:
     """(n,) how alike each keyframe's image is to this one, at most 1."""
     signatures = np.stack([np.asarray(k.observation.keypoints.signature) for k in state.keyframes])

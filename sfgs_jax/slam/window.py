@@ -58,8 +58,8 @@ def share_landmarks(state: SlamState, target: int, source: int, found: Registrat
             b[slot_b] = a[slot_a]
             in_b.add(b[slot_b])
     keyframes = list(state.keyframes)
-    keyframes[target] = replace(keyframes[target], landmarks=np.asarray(a))
-    keyframes[source] = replace(keyframes[source], landmarks=np.asarray(b))
+    keyframes[target] = replace(keyframes[target], landmarks=np.asarray(a, int))
+    keyframes[source] = replace(keyframes[source], landmarks=np.asarray(b, int))
     return replace(state, keyframes=tuple(keyframes), num_landmarks=number)
 
 

@@ -237,6 +237,23 @@ def test_no_depth_is_not_called_converged(missing):
     np.testing.assert_allclose(result.T_target_source.wxyz_xyz, start.wxyz_xyz, atol=1e-6)
 
 
+def test_overlap_is_what_the_target_has_a_surface_for_whether_that_fits_or_not():
+    depth = cast(CAMERA)
+    half, wrong = depth.copy(), depth.copy()
+    half[:, 80:] = 0
+    wrong[:, 80:] += 0.3
+    source = prepare(depth, CAMERA, config=CONFIG)
+    whole, part, other = (
+        align(source, prepare(d, CAMERA, config=CONFIG), se3.identity(), config=CONFIG)
+        for d in (depth, half, wrong)
+    )
+    assert whole.overlap > 0.99
+    assert other.overlap > 0.7
+    assert 0.4 < part.overlap < 0.6
+    assert part.inlier_fraction > 0.95 * part.overlap
+    assert other.inlier_fraction < 0.7 * other.overlap
+
+
 def test_few_points_are_not_called_converged():
     depth = np.zeros(CAMERA.shape, np.float32)
     depth[50:62, 70:84] = cast(CAMERA)[50:62, 70:84]

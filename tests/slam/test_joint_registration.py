@@ -54,6 +54,16 @@ def look(tracking):
     return lambda frame: observe(frame, CAMERA, extractor, tracking)
 
 
+@pytest.fixture
+def corner(look):
+    """Depth of a corner of three planes, and how to look at a depth without an image."""
+    rays = np.asarray(CAMERA.unproject(CAMERA.pixels(), jnp.ones(CAMERA.shape)))
+    normals = np.asarray([[0.8, 0.1, 1.0], [-0.7, 0.3, 1.0], [0.0, -0.9, 1.0]])
+    depth = (2 / np.max(rays @ normals.T, axis=-1)).astype(np.float32)
+    blank = np.zeros((*CAMERA.shape, 3), np.float32)
+    return (lambda depth: look(Frame(blank, depth, 0.0))), depth
+
+
 def test_along_a_textured_wall_the_keypoints_decide(rng, look, tracking):
     image = texture(rng)
     source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
@@ -86,6 +96,31 @@ def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, tracking
     assert int(found.carrier) == carrier
     expected = SHIFT if carrier == Carrier.BOTH else (0.05, -0.02, 0.0)
     np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], expected, atol=0.01)
+
+
+def test_few_keypoints_help_the_surface_but_do_not_stand_without_it(rng, look, tracking):
+    image = texture(rng)
+    target, seen = look(wall(image, (0, 0, 0))), wall(image, SHIFT)
+    blind = look(Frame(seen.rgb, np.zeros_like(seen.depth), 0.0))
+    for least, without in ((20, Carrier.KEYPOINTS), (300, Carrier.NONE)):
+        settings = replace(tracking, features=replace(tracking.features, min_inliers_alone=least))
+        found = register(look(seen), target, se3.identity(), CAMERA, settings)
+        assert 20 < int(found.matched.num_inliers) < 300
+        assert int(found.carrier) == Carrier.BOTH
+        np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], SHIFT, atol=0.01)
+        assert int(register(blind, target, se3.identity(), CAMERA, settings).carrier) == without
+
+
+@pytest.mark.parametrize(("shown", "carrier"), [("nothing", Carrier.SURFACE), ("another", Carrier.NONE)])
+def test_what_the_reference_does_not_show_is_no_reason_to_doubt_a_surface(corner, tracking, shown, carrier):
+    """Of a corner of three planes the reference shows half; the rest is missing, or something else."""
+    look, depth = corner
+    part = depth.copy()
+    part[60:] = 0 if shown == "nothing" else part[60:] - 0.15
+    found = register(look(depth), look(part), se3.identity(), CAMERA, tracking)
+    assert 0.35 < float(found.inlier_fraction) < 0.5
+    assert int(found.free) == 0
+    assert int(found.carrier) == carrier
 
 
 def test_inliers_that_another_motion_explains_are_counted(rng, look, tracking):

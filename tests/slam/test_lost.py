@@ -73,6 +73,19 @@ def test_after_long_enough_the_surface_alone_finds_nothing(long_room, settings, 
     assert lit.tracked
 
 
+@pytest.mark.parametrize(("angle", "tracked"), [(0.2, [0, 10, 20, 30, 40, 50]), (0.0, [0, 50])])
+def test_without_keypoints_the_surface_is_searched_for_by_turned_guesses(long_room, settings, angle, tracked):
+    """Three times a second: the camera turns by up to 0.6 rad from frame to frame, and comes back."""
+    features = replace(settings.tracking.features, kind="none")
+    tracking = replace(settings.tracking, features=features, search_angle=angle)
+    state = slam.init(long_room.camera, replace(settings, tracking=tracking))
+    numbers = range(0, 60, 10)
+    _, infos = follow(state, long_room, numbers)
+    found = {n: error(long_room, n, info) for n, info in zip(numbers, infos, strict=True) if info.tracked}
+    assert list(found) == tracked
+    assert max(found.values()) < 0.02
+
+
 def test_after_a_jump_the_frame_is_found_among_all_keyframes(long_room, settings):
     state, infos = follow(slam.init(long_room.camera, settings), long_room, range(0, 30, 2))
     assert all(info.tracked for info in infos)
