@@ -175,6 +175,7 @@ def _compile_ahead(state: SlamState) -> None:
     found = register(observation, observation, se3.identity(), state.camera, state.config.tracking)
     again = Tracking(0, found, Carrier.BOTH, False)
     _info(twin, again)
+    search(twin, observation)
     has_left(found, state.config)
     twin = _next_keyframe(twin, observation, again, 1)
     twin = replace(twin, pending=((0, 1),))

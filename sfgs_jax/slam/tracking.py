@@ -72,7 +72,7 @@ def _believed(found: Registration, state: SlamState) -> Carrier:
 def relocalise(state: SlamState, observation: Observation) -> Tracking | None:
     """Look for a lost frame in the keyframes that look most like it."""
     graph = state.config.graph
-    if not observation.keypoints.features.valid.any():
+    if not np.asarray(observation.keypoints.features.valid).any():
         return None
     alike = similarities(state, observation)
     order = [int(i) for i in np.argsort(-alike, kind="stable")[: graph.relocalisation_candidates]]

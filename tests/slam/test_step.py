@@ -55,7 +55,7 @@ def test_steps_are_deterministic(room, frames, config):
         np.testing.assert_array_equal(a, b)
 
 
-def test_nothing_compiles_from_the_third_frame_on(room, frames, config, compilations):
+def test_nothing_compiles_from_the_third_frame_on(room, frames, config, compilations, rng):
     """Keyframes, views, the graph's window, loops' candidates and pruning among what comes later."""
     often = replace(
         config,
@@ -77,6 +77,13 @@ def test_nothing_compiles_from_the_third_frame_on(room, frames, config, compilat
     _, closed = believe(replace(state, candidates=state.edges[:2]))
     assert closed
     travelled(state.keyframes, 0, 2)
+    assert not compilations
+    # Nor what is done for a frame that is nowhere found, with keypoints or without.
+    nothing = np.zeros(frames[0].depth.shape, np.float32)
+    patches = np.kron(rng.random((24, 32, 1)), np.ones((4, 4, 3))).astype(np.float32)
+    for rgb in (np.zeros_like(patches), patches):
+        _, info = slam.step(state, Frame(rgb, nothing, 1.0))
+        assert not info.tracked
     assert not compilations
 
 
