@@ -70,8 +70,9 @@ def register(
     there, and minimises the distances of the surfaces together with the reprojection error of the matches:
     that error enters as its quadratic form at its own minimum, which is what a Gauss-Newton step on both
     kinds of residuals sees of it. Each weighs by its noise, so where the surface leaves a direction free
-    (a bare wall, a sphere) the keypoints decide, and where nothing matches the surface does. SFGS-SLAM
-    (Wang and Deng, 2025), section 3.2.
+    (a bare wall, a sphere) the keypoints decide, and where nothing matches the surface does. A few matches
+    are a help to the surface; many stand without it, and against it. SFGS-SLAM (Wang and Deng, 2025),
+    section 3.2.
 
     Args:
         source: the observation to locate.
@@ -84,18 +85,18 @@ def register(
     matched = motion_from_keypoints(source.keypoints, target.keypoints, guess, camera, features)
     share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
     keypoints = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
-    enough = matched.num_inliers >= features.min_inliers_alone
+    many = matched.num_inliers >= features.min_inliers_alone
     T = _choose(keypoints, matched.T_target_source, guess)
     if not config.use_surface:
-        carrier = jnp.where(keypoints & enough, int(Carrier.KEYPOINTS), int(Carrier.NONE))
+        carrier = jnp.where(keypoints & many, int(Carrier.KEYPOINTS), int(Carrier.NONE))
         zero = jnp.zeros(())
         return Registration(T, jnp.zeros((6, 6)), matched, carrier, zero, zero, jnp.asarray(0))
 
     # Without keypoints the guess itself is a weak prior, which decides where the surface does not.
     weak = jnp.eye(6) / config.guess_sigma**2
     prior = gicp.MotionPrior(T, jnp.where(keypoints, matched.information, weak))
-    # Enough keypoints bring the start within reach of the finer levels.
-    coarsest = jnp.where(keypoints & enough, 1, config.gicp.levels - 1)
+    # Many keypoints bring the start within reach of the finer levels.
+    coarsest = jnp.where(keypoints & many, 1, config.gicp.levels - 1)
     result = gicp.align(source.cloud, target.cloud, T, prior=prior, coarsest=coarsest, config=config.gicp)
     fits = result.inlier_fraction >= config.min_inlier_fraction
     free = jnp.sum(result.free)
@@ -107,7 +108,7 @@ def register(
     borne_out = num_explained(found, matched, source.keypoints, target.keypoints, camera, features)
     close = _apart(matched.T_target_source, found) < config.max_disagreement
     agree = keypoints & (close | (2 * borne_out > matched.num_inliers))
-    contradicted = keypoints & enough & ~agree
+    contradicted = keypoints & many & ~agree
     near = _apart(guess, found) < config.max_correction_alone
     # What lies outside the target's image says nothing, what it shows and doesn't bear out does.
     least = jnp.maximum(config.min_inlier_fraction_alone, config.min_agreement_alone * result.overlap)
@@ -117,7 +118,7 @@ def register(
     carrier = jnp.where(
         surface,
         jnp.where(agree, int(Carrier.BOTH), unaided),
-        jnp.where(keypoints & enough, int(Carrier.KEYPOINTS), int(Carrier.NONE)),
+        jnp.where(keypoints & many, int(Carrier.KEYPOINTS), int(Carrier.NONE)),
     )
     return Registration(
         _choose(surface, found, T),
