@@ -63,10 +63,16 @@ def _believed(found: Registration, state: SlamState) -> Carrier:
     """The carrier, unless the motion model has had a part for too long or too far, or is too old."""
     carrier, config = Carrier(int(found.carrier)), state.config.tracking
     too_long = state.num_coasting >= config.max_coasting or state.coasted > config.max_coasted
-    lost = state.num_frames - 2 - state.log.newest
-    too_old = lost > config.max_lost and config.features.kind != "none"
     unaided = carrier in (Carrier.SURFACE, Carrier.COASTING)
-    return Carrier.NONE if (carrier == Carrier.COASTING and too_long) or (unaided and too_old) else carrier
+    unfounded = (carrier == Carrier.COASTING and too_long) or (unaided and _long_lost(state))
+    return Carrier.NONE if unfounded else carrier
+
+
+def _long_lost(state: SlamState) -> bool:
+    """Whether nothing but keypoints can tell any more where the camera is."""
+    config = state.config.tracking
+    lost = state.num_frames - 2 - state.log.newest
+    return lost > config.max_lost and config.features.kind != "none"
 
 
 def relocalise(state: SlamState, observation: Observation) -> Tracking | None:
@@ -90,9 +96,13 @@ def relocalise(state: SlamState, observation: Observation) -> Tracking | None:
 
 
 def search(state: SlamState, observation: Observation) -> Tracking | None:
-    """Look for a lost frame where the camera was last, had it turned: what no keypoints match has to be found
-    by its surface, which ends where it should only from a start near it."""
+    """Look for a frame by its surface where the camera was last, had it turned.
+
+    What no keypoints match is found only from a start near it: these are what the motion model lacks.
+    """
     config = state.config.tracking
+    if _long_lost(state) or not config.use_surface:
+        return None
     reference = state.keyframes[state.reference].observation
     for turn in config.search_angle * _TURNS:
         start = se3.compose(state.T_reference_cam, se3.exp(turn))
