@@ -63,16 +63,21 @@ def _believed(found: Registration, state: SlamState) -> Carrier:
     """The carrier, unless the motion model has had a part for too long or too far, or is too old."""
     carrier, config = Carrier(int(found.carrier)), state.config.tracking
     too_long = state.num_coasting >= config.max_coasting or state.coasted > config.max_coasted
-    unaided = carrier in (Carrier.SURFACE, Carrier.COASTING)
-    unfounded = (carrier == Carrier.COASTING and too_long) or (unaided and _long_lost(state))
-    return Carrier.NONE if unfounded else carrier
+    # A frame that was lost may have moved any way.
+    coasting = carrier == Carrier.COASTING and (too_long or _num_lost(state) > 0)
+    surface = carrier == Carrier.SURFACE and _long_lost(state)
+    return Carrier.NONE if coasting or surface else carrier
+
+
+def _num_lost(state: SlamState) -> int:
+    """How many frames before this one were lost in a row."""
+    return state.num_frames - 2 - state.log.newest
 
 
 def _long_lost(state: SlamState) -> bool:
     """Whether nothing but keypoints can tell any more where the camera is."""
     config = state.config.tracking
-    lost = state.num_frames - 2 - state.log.newest
-    return lost > config.max_lost and config.features.kind != "none"
+    return _num_lost(state) > config.max_lost and config.features.kind != "none"
 
 
 def relocalise(state: SlamState, observation: Observation) -> Tracking | None:

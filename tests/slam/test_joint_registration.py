@@ -167,6 +167,20 @@ def test_where_the_wall_turns_bare_the_motion_model_carries_so_far_and_no_farthe
     np.testing.assert_allclose(found[: 5 + coasted], speed * np.arange(5 + coasted), atol=0.02)
 
 
+def test_the_motion_model_carries_no_frame_after_a_lost_one(rng, config, tracking):
+    image = texture(rng)
+    mapping = replace(config.mapping, max_width=64, steps_per_frame=0, steps_per_view=0)
+    state = slam.init(CAMERA, replace(config, tracking=tracking, mapping=mapping))
+    dark = Frame(np.zeros((120, 160, 3), np.float32), np.zeros((120, 160), np.float32), 0.0)
+    frames = [wall(image, (0.02 * number, 0, 0), bare=number > 2) for number in range(5)]
+    carriers = []
+    for frame in [*frames[:4], dark, frames[4], frames[2]]:
+        state, info = slam.step(state, frame)
+        carriers.append(info.carrier)
+    assert carriers[1:4] == [Carrier.BOTH, Carrier.BOTH, Carrier.COASTING]
+    assert carriers[4:] == [Carrier.NONE, Carrier.NONE, Carrier.BOTH]
+
+
 def test_noise_on_a_bare_wall_is_no_keypoint(rng, look):
     bare = wall(texture(rng), SHIFT, bare=True)
     noisy = Frame(bare.rgb + rng.normal(scale=0.01, size=bare.rgb.shape).astype(np.float32), bare.depth, 0.0)
