@@ -196,10 +196,12 @@ def _find(state: SlamState, observation: Observation) -> tuple[SlamState, Tracki
     tracking = track(state, observation)
     if tracking.carrier != Carrier.NONE:
         return state, tracking
-    bridged = state if state.last is None else _with_last_as_keyframe(state, state.last)
-    by_last = tracking if state.last is None else track(bridged, observation)
-    if by_last.carrier != Carrier.NONE:
-        return bridged, by_last
+    bridged = state
+    if state.last is not None:
+        bridged = _with_last_as_keyframe(state, state.last)
+        by_last = track(bridged, observation)
+        if by_last.carrier != Carrier.NONE:
+            return bridged, by_last
     relocalised = relocalise(state, observation)
     if relocalised is not None:
         return state, relocalised

@@ -60,7 +60,7 @@ def has_left(found: Registration, config: SlamConfig) -> bool:
 
 
 def _believed(found: Registration, state: SlamState) -> Carrier:
-    """The carrier, unless the motion model has had a part for too long or too far, or is too old."""
+    """The carrier, unless the motion model has had a part for too long or too far, or is too old for it."""
     carrier, config = Carrier(int(found.carrier)), state.config.tracking
     too_long = state.num_coasting >= config.max_coasting or state.coasted > config.max_coasted
     # A frame that was lost may have moved any way.
