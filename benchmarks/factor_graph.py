@@ -30,6 +30,7 @@ from rich.table import Table
 
 from benchmarks import pose_graphs
 from benchmarks.pose_graphs import motions
+from sfgs_jax.arrays import InputError
 from sfgs_jax.factor_graph import (
     Capacities,
     Factor,
@@ -43,12 +44,12 @@ from sfgs_jax.factor_graph import (
     Values,
     chordal_start,
     consistent_loops,
-    odometry_start,
     read_g2o,
     solve,
+    spanning_tree_start,
     write_g2o,
 )
-from sfgs_jax.geometry import Camera, InputError, Kernel, se3
+from sfgs_jax.geometry import Camera, Kernel, se3
 
 SWAPPED = [3, 4, 5, 0, 1, 2]
 """GTSAM's tangents are rotation first."""
@@ -132,7 +133,7 @@ def sphere2500() -> PoseGraph:
         jnp.asarray(information, jnp.float32),
     )
     numbers = np.arange(2500)
-    return PoseGraph(odometry_start(measured, 2500), measured, numbers, numbers == 0)
+    return PoseGraph(spanning_tree_start(measured, 2500), measured, numbers, numbers == 0)
 
 
 def through_a_file(graph: PoseGraph) -> PoseGraph:
@@ -146,7 +147,7 @@ def from_odometry(file: PoseGraph, capacities: Capacities | None) -> tuple[Facto
     import gtsam  # pyright: ignore[reportMissingImports]
 
     edges, count = file.edges, len(file.vertices)
-    values = odometry_start(edges, count)
+    values = spanning_tree_start(edges, count)
     peer = gtsam.NonlinearFactorGraph()
     measured = se3.to_matrices(edges.T_a_b)
     information = np.asarray(edges.matrices, np.float64)[:, SWAPPED][:, :, SWAPPED]

@@ -1,10 +1,10 @@
-"""Registration of depth images: time and error on RedKitchen, beside small_gicp and Open3D where installed.
+"""Registration of depth images: time and error on RedKitchen, beside small_gicp and Open3D if installed.
 
-    python -m benchmarks.gicp [frames apart ...]
+    python -m benchmarks.gicp [frames apart ...].
 
 Reads the recordings below SFGS_DATA, else ../shared. Times are medians after warm-up, from a depth image on
-the host to a pose; errors are against the poses given with the recording, which are good to about a
-centimetre, from a start at the identity. Compare columns of one run: absolute times depend on the machine.
+the host to a pose. Errors are against the poses given with the recording, which are good to about a
+centimetre. All starts are the identity. Compare columns of one run: absolute times depend on the machine.
 A stage of 0 ms is part of the next: only small_gicp takes points.
 """
 
@@ -24,7 +24,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sfgs_jax import Camera
-from sfgs_jax.geometry import InputError, se3
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import align, prepare
 
 CAMERA = Camera(585.0, 585.0, 320.0, 240.0, width=640, height=480)

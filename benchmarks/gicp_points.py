@@ -1,11 +1,11 @@
 """Registration of unorganised clouds: time, error and memory by points and resolution, beside small_gicp.
 
-    python -m benchmarks.gicp_points [rings ...]
+    python -m benchmarks.gicp_points [rings ...].
 
-Two scans of a synthetic street with 2 cm of noise, 0.5 m and 1 degree apart, handed over as PLY files and
-registered from the identity, by a sensor of as many rings as asked for (32, 64, 128). The number after
-sfgs_jax is `PointsConfig.max_points`. Times are medians of three after warm-up, of one cloud's preparation
-and of one alignment; compare rows of one run.
+Registers two scans of a synthetic street with 2 cm of noise, 0.5 m and 1 degree apart, from the identity. The
+scans are handed over as PLY files. The sensor has 32, 64 and 128 rings, or the numbers given. The number
+after sfgs_jax is `PointsConfig.max_points`. Times are medians of three after warm-up, of the preparation of
+one cloud and of one alignment. Compare rows of one run.
 """
 
 import importlib.util

@@ -1,12 +1,13 @@
-"""How often registration succeeds from starts perturbed by up to 10 cm and 10 degrees, beside small_gicp.
+"""Success rate of registration from starts perturbed by up to 10 cm and 10 degrees, beside small_gicp.
 
-    python -m benchmarks.gicp_starts [--first FRAME] [word ...]
+    python -m benchmarks.gicp_starts [--first FRAME] [word ...].
 
-With words only the columns that contain one of them, such as depth, points or small_gicp. Every 40th frame
-from the first, 10 if not given: other frames have other starts too.
-RedKitchen depth images one frame apart, read below SFGS_DATA, else ../shared. A start is the given motion
-times a random one whose length and angle are those of its row. A success ends within 2 cm and 1 degree of the
-given motion; both allow for the poses given, which are good to about a centimetre.
+Words select the columns that contain one of them, such as depth, points or small_gicp. The frames are every
+40th from the first, 10 if not given; other frames have other starts too.
+
+Registers RedKitchen depth images one frame apart, read below SFGS_DATA, else ../shared. A start is the given
+motion times a random one with the length and angle of its row. A success ends within 2 cm and 1 degree of
+the given motion. Both allow for the given poses, which are good to about a centimetre.
 """
 
 import argparse

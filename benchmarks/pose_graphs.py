@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from sfgs_jax.factor_graph import PoseGraph, RelativePose, odometry_start
-from sfgs_jax.geometry.rotations import quaternions_from_rotations, rotations_from_quaternions
+from sfgs_jax.factor_graph import PoseGraph, RelativePose, spanning_tree_start
+from sfgs_jax.geometry import quaternions_from_rotations, rotations_from_quaternions
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def measured(world: World, rng: np.random.Generator) -> PoseGraph:
     between = np.linalg.inv(a) @ b @ shaken(rng, len(ends), world.noise)
     weight = jnp.asarray(np.diag(np.repeat(world.information, 3)), jnp.float32)
     edges = RelativePose(ends, motions(between), weight)
-    return PoseGraph(odometry_start(edges, count), edges, np.arange(count), np.arange(count) == 0)
+    return PoseGraph(spanning_tree_start(edges, count), edges, np.arange(count), np.arange(count) == 0)
 
 
 def shaken(rng: np.random.Generator, count: int, noise: tuple[float, float]) -> np.ndarray:

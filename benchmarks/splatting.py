@@ -6,10 +6,12 @@
     python -m benchmarks.splatting memory     peak memory with 100,000 Gaussians at 640x480
     python -m benchmarks.splatting oracle     images and gradients beside the dense reference, at 641x479
 
-Each in one process of its own; medians of warm calls on `data/bench/splat_scene_50k.npz` (50,000 Gaussians
-of one real frame), found through SFGS_DATA or at ../shared. The floor of a time is what its arithmetic would
-take at the rates of `exp` and of a matrix product measured in the same run: a rendering needs one exponential
-for each pair of a Gaussian and a pixel of its tiles; its gradient one more, and the ten sums that make it up.
+Each part runs in its own process. Times are medians of warm calls on `data/bench/splat_scene_50k.npz` (50,000
+Gaussians of one real frame), found through SFGS_DATA or at ../shared.
+
+The floor of a time is its arithmetic at the rates of `exp` and of a matrix product, measured in the same run.
+A rendering needs one exponential for each pair of a Gaussian and a pixel of its tiles. Its gradient needs one
+more exponential and ten sums.
 """
 
 import os
@@ -30,10 +32,20 @@ import numpy as np
 from jax import Array
 from scipy.optimize import nnls
 
-from sfgs_jax.geometry import Camera, InputError, se3
-from sfgs_jax.splatting import Gaussians, RenderConfig, l1, pair_capacity, project, render, rgb_to_sh, ssim
-from sfgs_jax.splatting.binning import bin_into_tiles
-from sfgs_jax.splatting.compositing import composite
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.splatting import (
+    Gaussians,
+    RenderConfig,
+    bin_into_tiles,
+    composite,
+    l1,
+    pair_capacity,
+    project,
+    render,
+    rgb_to_sh,
+    ssim,
+)
 from tests.splatting.scenes import make_camera, make_pose, make_scene, run
 
 REPEATS = 15
@@ -41,7 +53,7 @@ ROUNDS = 7
 COUNTS = (10_000, 30_000, 100_000, 300_000, 1_000_000)
 
 BORDERLINE = 2e-5
-"""Differences of images above this are no rounding: a Gaussian was drawn by one and not by the other."""
+"""Largest difference of images by rounding. Above it, one renderer drew a Gaussian that the other skipped."""
 
 Tree = TypeVar("Tree")
 
@@ -56,13 +68,13 @@ class View:
     target: Array
 
     def smaller(self, factor: int) -> "View":
-        """The same in an image of means of factor x factor pixels."""
+        """The same in a smaller image, of means of factor x factor pixels."""
         camera = self.camera.downscaled(factor)
         target = self.target.reshape(camera.height, factor, camera.width, factor, 3).mean((1, 3))
         return replace(self, camera=camera, target=target)
 
     def larger(self, factor: int) -> "View":
-        """The same with factor x factor pixels for each."""
+        """The same in a larger image, with factor x factor pixels for each."""
         c = self.camera
         shift = (factor - 1) / 2
         camera = Camera(
@@ -77,7 +89,7 @@ class View:
         return replace(self, camera=camera, target=target)
 
     def resampled(self, count: int) -> "View":
-        """The same surfaces with `count` Gaussians, drawn at random, as much smaller as they are more."""
+        """The same surfaces with `count` Gaussians, drawn at random; more Gaussians are smaller."""
         rng = np.random.default_rng(0)
         old = self.gaussians.means.shape[0]
         chosen = rng.integers(0, old, count) if count > old else rng.permutation(old)[:count]
@@ -91,7 +103,7 @@ class View:
         return replace(self, gaussians=gaussians)
 
     def shaken(self) -> "View":
-        """The same with no two Gaussians at one depth, whose order float32 would decide, and none round."""
+        """The same with no two Gaussians at one depth, whose order rounding would decide, and none round."""
         rng, shape = np.random.default_rng(1), self.gaussians.means.shape
         millimetres, logarithms = (jnp.asarray(rng.normal(size=shape), jnp.float32) for _ in range(2))
         gaussians = replace(
@@ -125,7 +137,7 @@ class View:
 
 
 def load_view() -> View:
-    """The scene; pixel centres brought to integer coordinates."""
+    """The scene of the data folder, with pixel centres at integer coordinates."""
     root = Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared"))
     path = root / "data" / "bench" / "splat_scene_50k.npz"
     if not path.is_file():
@@ -148,7 +160,7 @@ def load_view() -> View:
 
 @dataclass(frozen=True)
 class Cost:
-    """Of a program: median of a warm call, compilation, scratch memory."""
+    """Cost of a program: median of a warm call, compilation, scratch memory."""
 
     ms: float
     compile_s: float
@@ -173,7 +185,7 @@ def measure(function: Callable, *args, repeats: int = REPEATS) -> Cost:
 
 @dataclass(frozen=True)
 class Rates:
-    """What the machine does, per millisecond."""
+    """The machine's rates, per millisecond."""
 
     exponentials: float
     flops: float
@@ -217,7 +229,7 @@ def scene_table(view: View, rates: Rates) -> None:
 
     pairs = int(jnp.sum(lists.counts))
     floor, floor_gradient = rates.floors(pairs * config.tile_size**2)
-    # Nine blurs a channel: down by a matrix of 32 x 42, across by eleven products.
+    # SSIM takes nine blurs a channel: down by a matrix of 32 x 42, across by eleven products.
     floor_ssim = width * height * 3 * 9 * (2 * 42 + 2 * 11) / rates.flops
     mask = target[..., 0] > 0.2
     print(f"\n{width}x{height}: {pairs} pairs, room for {config.pair_capacity}")
@@ -245,14 +257,14 @@ def scene_table(view: View, rates: Rates) -> None:
 
 
 def growth_table(views: list[View], rates: Rates) -> None:
-    """Times against Gaussians and pairs, and how well they are a sum of a time for each."""
+    """Times against Gaussians and pairs, and the fit by one time a Gaussian and one a pair."""
     counts, programs = [], []
     for view in views:
         config = view.config()
         counts.append((view.gaussians.means.shape[0], count_pairs(view, config)))
         both = view.forward(config), view.gradient(config)
         programs.append([jax.jit(program).lower(view.gaussians).compile() for program in both])
-    # In turns, so that a slow minute of the machine is shared by all.
+    # In turns, so that all share a slow minute of the machine.
     times = np.zeros((1 + ROUNDS, len(views), 2))
     for turn in range(1 + ROUNDS):
         for i, (view, both) in enumerate(zip(views, programs, strict=True)):
@@ -262,7 +274,7 @@ def growth_table(views: list[View], rates: Rates) -> None:
                 times[turn, i, j] = 1e3 * (time.perf_counter() - start)
     measured = np.median(times[1:], axis=0)
 
-    # Least squares of relative errors, as the times span two orders of magnitude.
+    # Least squares of relative errors, because the times span two orders of magnitude.
     terms = np.asarray(counts)
     fits = [nnls(terms / measured[:, [j]], np.ones(len(views)))[0] for j in range(2)]
     head = f"{'pairs':>10}{'forward':>12}{'fit':>9}{'/ floor':>9}{'+ backward':>12}{'fit':>9}{'/ floor':>9}"
@@ -284,7 +296,7 @@ def converted(tree: Tree, dtype: jnp.dtype) -> Tree:
 
 
 def compare_with_oracle(name: str, scene: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3) -> None:
-    """Print how far the image and every gradient are from those of the dense reference in float64."""
+    """Print the errors of the image and every gradient against the dense reference in float64."""
 
     def drawn(by: str, dtype: jnp.dtype, counted: np.ndarray | None = None) -> dict[str, np.ndarray]:
         with jax.enable_x64(dtype == jnp.float64):
@@ -294,8 +306,8 @@ def compare_with_oracle(name: str, scene: Gaussians, camera: Camera, T_world_cam
             results = run(by, view[0], view[2], config, view[1], mask)
             return {what: np.asarray(values, np.float64) for what, values in results.items()}
 
-    # Where a Gaussian is at 1/255 of a pixel but for float32's rounding, it is drawn by one and not by
-    # the other, and neither is wrong: those pixels are left out.
+    # A Gaussian with a contribution of 1/255 up to rounding is drawn by one renderer and not by the other.
+    # Neither is wrong, so such pixels are left out.
     difference = np.abs(drawn("tiles", jnp.float32)["image"] - drawn("oracle", jnp.float64)["image"])
     counted = np.all(difference < BORDERLINE, axis=-1)
     expected = drawn("oracle", jnp.float64, counted)

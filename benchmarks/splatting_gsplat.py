@@ -2,12 +2,13 @@
 
     python -m benchmarks.splatting_gsplat
 
-gsplat comes with a PyTorch implementation of everything but the loop over a pixel's Gaussians, which only its
-CUDA kernel has: covariances, projection, low-pass filter, compensation and spherical harmonics are gsplat's
-own here, and that loop is written out densely from what the kernel does: opacity at most 0.999 (0.99 here, as
-in the first implementation), nothing below 1/255, an end where less than 1e-4 of the light is left. Scenes
-are real surfaces with random colours that depend on the direction, and random Gaussians of every size, shape
-and place.
+gsplat has a PyTorch implementation of everything but the loop over a pixel's Gaussians, which only its CUDA
+kernel has. So covariances, projection, low-pass filter, compensation and spherical harmonics are gsplat's own
+here. The loop is written out densely with the kernel's rules. Opacity is at most 0.999 (0.99 in this
+library), contributions below 1/255 are skipped, and a pixel ends before less than 1e-4 of the light is left.
+
+Scenes are real surfaces with random colours that depend on the direction, and random Gaussians of every size,
+shape and place.
 """
 
 import jax
@@ -22,8 +23,8 @@ from gsplat.cuda._torch_impl import (  # pyright: ignore[reportMissingImports]
 
 from benchmarks.splatting import converted, load_view
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.splatting import Gaussians, RenderConfig, pair_capacity, render
-from tests.splatting.scenes import PARAMETERS, make_camera, make_pose, make_scene
+from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, Gaussians, RenderConfig, pair_capacity, render
+from tests.splatting.scenes import make_camera, make_pose, make_scene
 
 
 def gsplat_images(
@@ -94,7 +95,7 @@ def compare(name: str, scene: Gaussians, camera: Camera, T_world_cam, antialiase
     kept = np.flatnonzero(np.asarray(scene.valid))
     p = {
         n: torch.tensor(np.asarray(getattr(scene, n))[kept], dtype=torch.float64, requires_grad=True)
-        for n in PARAMETERS
+        for n in GAUSSIAN_PARAMETERS
     }
     colours, alpha = gsplat_images(p, camera, world_to_camera, antialiased)
     theirs = torch.cat([colours, alpha[..., None]], dim=-1)
@@ -105,7 +106,7 @@ def compare(name: str, scene: Gaussians, camera: Camera, T_world_cam, antialiase
         return f"{np.linalg.norm(a - b) / np.linalg.norm(b):.1e} ({1 - cosine:.0e})"
 
     cells = [off(np.asarray(ours), theirs.detach().numpy())]
-    for n in PARAMETERS:
+    for n in GAUSSIAN_PARAMETERS:
         gradient = p[n].grad
         assert gradient is not None
         cells.append(off(np.asarray(getattr(gradients, n))[kept], gradient.numpy()))
@@ -114,7 +115,7 @@ def compare(name: str, scene: Gaussians, camera: Camera, T_world_cam, antialiase
 
 def main() -> None:
     """Print the table."""
-    header = ("relative error (1 - cosine)", "images", *PARAMETERS)
+    header = ("relative error (1 - cosine)", "images", *GAUSSIAN_PARAMETERS)
     print("| " + " | ".join(header) + " |\n|" + " --- |" * len(header))
     view = load_view()
     small, real = view.smaller(8), view.resampled(1500).shaken().gaussians

@@ -2,12 +2,13 @@
 
     python -m benchmarks.superfeats [--weights PATH]
 
-One real image, RedKitchen's first at 640x480, found through SFGS_DATA or at ../shared. The contenders take
-turns, so that what else the machine does strikes all alike; times are medians. XFeat runs in onnxruntime with
-two threads, from its file re-shaped to 640x480 (experiments/xfeat_size.py: same weights, and the cutting into
-cells as one operation), and around it the extraction in NumPy and OpenCV of experiments/xfeat.py. Memory is
-the peak of a process of its own that extracts ten times, over what the same process needs with its imports
-alone. Needs onnxruntime and onnx.
+The image is RedKitchen's first at 640x480, found through SFGS_DATA or at ../shared. The contenders take
+turns, so that other work on the machine hits all alike; times are medians.
+
+XFeat runs in onnxruntime with two threads. Its file is re-shaped to 640x480 with the same weights and the
+cutting into cells as one operation (experiments/xfeat_size.py). Around it runs the extraction in NumPy and
+OpenCV of experiments/xfeat.py. Memory is the peak of a process that extracts ten times, minus its need after
+the imports. Needs onnxruntime and onnx.
 """
 
 import argparse
@@ -29,7 +30,7 @@ from rich.table import Table
 from experiments.xfeat import MIN_SIMILARITY, XFeat, default_weights, normalised
 from experiments.xfeat_size import resized_xfeat
 from sfgs_jax import superfeats
-from sfgs_jax.geometry import InputError
+from sfgs_jax.arrays import InputError
 from sfgs_jax.superfeats import Features, filter_by_motion, match
 from sfgs_jax.superfeats.network import forward, normalise
 
@@ -44,7 +45,7 @@ Call = Callable[[], object]
 
 
 def two_images() -> tuple[np.ndarray, np.ndarray]:
-    """RGB in [0, 1], ten frames apart."""
+    """Two RGB images in [0, 1], ten frames apart."""
     root = Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared"))
     folder = root / "data" / "7scenes" / "redkitchen"
     images = [cv2.imread(str(folder / f"frame-{i:06d}.color.jpg")) for i in (0, 10)]
@@ -55,7 +56,13 @@ def two_images() -> tuple[np.ndarray, np.ndarray]:
 
 
 def extraction(name: str, image: np.ndarray, weights: Path | None) -> Callable[[], Features]:
-    """Whole extraction of an image that lies on the host."""
+    """A whole extraction of an image on the host, as a function.
+
+    Args:
+        name: one of `EXTRACTORS`.
+        image: (H, W, 3) RGB in [0, 1].
+        weights: file with SuperFeats' weights; None means the shipped ones.
+    """
     if name == "superfeats":
         params = superfeats.load_weights(weights)
         return lambda: superfeats.extract(params, image, max_keypoints=KEYPOINTS)
@@ -86,10 +93,10 @@ def networks(image: np.ndarray, weights: Path | None) -> dict[str, Call]:
 
 
 def in_turns(calls: dict[str, Call]) -> dict[str, tuple[float, float]]:
-    """Seconds of each first call, and the median of those of later turns.
+    """Seconds of each first call, and median seconds of the calls in later turns.
 
-    A turn is a few calls after a pause, because onnxruntime's threads go on spinning for a while after a call
-    and would slow the next contender down. After a pause a machine is slow for a while, which isn't counted.
+    A turn is a few calls after a pause. Without it onnxruntime's threads would slow the next contender down,
+    because they spin for a while after a call. After a pause the machine is slow at first: not counted.
     """
     first = {name: seconds(call) for name, call in calls.items()}
     times: dict[str, list[float]] = {name: [] for name in calls}
@@ -110,7 +117,7 @@ def seconds(call: Call) -> float:
 
 
 def matchers(a: Features, b: Features) -> dict[str, Call]:
-    """Matching of two images' keypoints, beside the same by argmax and OpenCV's brute force."""
+    """Matchers of two images' keypoints: ours, one by argmax, and OpenCV's brute force."""
     matches = match(a, b, min_similarity=MIN_SIMILARITY)
 
     @jax.jit
@@ -134,7 +141,7 @@ def peak_megabytes() -> float:
 
 
 def memory(name: str, weights: Path | None) -> float:
-    """Peak over the imports' of a process that extracts with `name`, megabytes."""
+    """Peak memory of a process that extracts with `name`, minus its need after the imports, megabytes."""
     command = [sys.executable, "-m", "benchmarks.superfeats", "--memory-of", name]
     command += ["--weights", str(weights)] if weights else []
     return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
@@ -151,7 +158,7 @@ def measure_own_memory(name: str, weights: Path | None) -> None:
 
 
 def show(title: str, calls: dict[str, Call], peer: str, peaks: dict[str, float] | None = None) -> None:
-    """A table of times, and how many times the peer's each contender takes less."""
+    """Print a table of times, and the ratio of the peer's time to each contender's."""
     table = Table(title=title)
     for column in ("", "ms", f"{peer} / this", "first call s", *(("peak MB",) if peaks else ())):
         table.add_column(column, justify="left" if not column else "right")
@@ -164,10 +171,10 @@ def show(title: str, calls: dict[str, Call], peer: str, peaks: dict[str, float] 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--weights", type=Path, help="of SuperFeats; the shipped ones if not given")
+    parser.add_argument("--weights", type=Path, help="of SuperFeats, by default the shipped ones")
     parser.add_argument("--memory-of", choices=EXTRACTORS, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    # Before XLA starts its threads, of which it takes one for each core it may use.
+    # Before XLA starts its threads, one for each core it may use.
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
     if arguments.memory_of:
         measure_own_memory(arguments.memory_of, arguments.weights)

@@ -20,11 +20,10 @@ import numpy as np
 
 from benchmarks.superfeats import extraction
 from experiments.recordings import SOURCES
+from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import Recording, open_recording, prefetch
-from sfgs_jax.geometry import Frame, FrameError
-from sfgs_jax.slam import SlamConfig, init
-from sfgs_jax.slam.step import follow
-from sfgs_jax.slam.stopwatch import Stopwatch
+from sfgs_jax.geometry import Frame
+from sfgs_jax.slam import SlamConfig, Stopwatch, follow, init
 
 AT_ONCE = 50
 RUNS = 3

@@ -1,12 +1,18 @@
-"""What each loss of SuperFeats brings: short trainings that differ in nothing else, judged alike.
+"""Ablation of SuperFeats' losses: short trainings that differ in nothing else.
 
     python -m experiments.ablate_superfeats runs/ablation --steps 2000
 
-Every variant sees the same batches from the same first weights. With `--description-from`, the description
-branch of a run goes on, and what the detection branch's losses bring shows sooner. Judged are held-out views
-(the share of points whose nearest descriptor is the right one), homographies of held-out photographs, and
-relative poses on RedKitchen's frames 300 to 599, from mutual nearest neighbours without a floor, since
-cosines of different losses differ in scale. Killed and started again, it goes on where it stopped.
+Every variant sees the same batches from the same first weights. With `--description-from` all continue the
+description branch of one run, which shows the effect of the detection branch's losses sooner. Killed and
+started again, the ablation continues.
+
+The tables show, for each variant:
+
+- the share of held-out points whose nearest descriptor is the right one;
+- homographies of held-out photographs;
+- relative poses on RedKitchen's frames 300 to 599.
+
+Matches are mutual nearest neighbours without a floor, because cosines of different losses differ in scale.
 """
 
 import json
@@ -33,13 +39,13 @@ from experiments.matching_tables import (
 from experiments.train_superfeats import TrainingConfig, train
 from experiments.warped_photos import warped_photos
 from sfgs_jax import superfeats
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import ReaderOptions
-from sfgs_jax.geometry import InputError
 from sfgs_jax.superfeats.network import Network
 from sfgs_jax.superfeats.training import LossWeights
 
 ALL = LossWeights()
-# The hinge's weight brings it to the size that the dual softmax has in the sum.
+# With this weight the hinge is as large in the sum as the dual softmax.
 VARIANTS = {
     "as shipped": ALL,
     "hinge for dual softmax": replace(ALL, dual_softmax=0.0, hinge=4.0),
@@ -53,20 +59,24 @@ PHOTOS = 40
 
 
 def trained(name: str, out: Path, steps: int, description_from: Path | None) -> tuple[Network, float]:
-    """A variant's network, and its share of held-out points whose nearest descriptor is the right one."""
+    """Train a variant.
+
+    Returns:
+        Its network, and the share of held-out points whose nearest descriptor is the right one.
+    """
     weights = VARIANTS[name]
     folder = out / name.replace(" ", "-")
     train(TrainingConfig(folder, steps=steps, description_from=description_from, weights=weights))
     params = superfeats.load_weights(folder / "weights.safetensors")
     if weights.reliability == 0:
-        # An untrained head would weigh keypoints at random.
+        # An untrained head would weight keypoints at random.
         params = by_heat_alone(params)
     figures = json.loads((folder / "log.jsonl").read_text().splitlines()[-1])["validation"]
     return params, figures["accuracy"]
 
 
 def by_heat_alone(params: Network) -> Network:
-    """The network with one reliability everywhere."""
+    """The network with the same reliability everywhere."""
     return eqx.tree_at(lambda network: network.rely, params, replace_fn=_zeros)
 
 
@@ -75,7 +85,7 @@ def _zeros(layer: eqx.Module) -> eqx.Module:
 
 
 def extractors(networks: dict[str, Network], max_keypoints: int) -> list[Extractor]:
-    """Without a floor for matches."""
+    """Extractors of the networks, without a floor for matches."""
 
     def extract(params: Network, image: np.ndarray) -> superfeats.Features:
         return superfeats.extract(params, image, max_keypoints=max_keypoints)
@@ -90,14 +100,14 @@ def main(
     variants: tuple[str, ...] = tuple(VARIANTS),
     description_from: Path | None = None,
 ) -> None:
-    """Trains what isn't trained yet and prints the table.
+    """Train the variants that are not trained yet and print the tables.
 
     Args:
         out: folder of the runs.
-        steps: of each training.
-        seeds: how often RANSAC runs on each pair.
-        variants: those to train and compare, by their names in `VARIANTS`.
-        description_from: checkpoint.eqx of a run whose description branch all of them go on with.
+        steps: steps of each training.
+        seeds: number of RANSAC's runs on each pair.
+        variants: names of the variants to train and compare.
+        description_from: checkpoint.eqx of a run whose description branch all variants start from.
 
     Raises:
         InputError: there is no such variant.

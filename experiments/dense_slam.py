@@ -15,10 +15,11 @@ import tyro
 
 from experiments.matching_tables import print_table
 from experiments.recordings import SOURCES
+from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import ReaderOptions, Recording, open_recording, prefetch
-from sfgs_jax.datasets.writers import depth_units
+from sfgs_jax.datasets.files import depth_units
 from sfgs_jax.evaluation import ate
-from sfgs_jax.geometry import FrameError, Trajectory
+from sfgs_jax.geometry import Trajectory
 
 VOXEL = 3.0 / 512
 """Side of a voxel, metres."""

@@ -1,4 +1,4 @@
-"""SuperFeats, XFeat and ORB, each as a function from an image to features, with its own floor for matches."""
+"""SuperFeats, XFeat and ORB, each as a function from images to features with its own floor for matches."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ NAMES = ("superfeats", "xfeat", "orb")
 
 @dataclass(frozen=True)
 class Extractor:
-    """A way to find and match keypoints.
+    """A method to find and match keypoints.
 
     Attributes:
-        name: for tables.
+        name: name in tables.
         extract: features of an RGB image (H, W, 3) in [0, 1] of any size.
         min_similarity: cosine that a match must exceed.
     """
@@ -30,14 +30,20 @@ class Extractor:
     min_similarity: float
 
     def matched(self, a: Features, b: Features) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 2) pixels of matched keypoints in both images, float64 on the host."""
+        """Pixels (n, 2) of matched keypoints in both images, float64 on the host."""
         matches = jax.device_get(match(a, b, min_similarity=self.min_similarity))
         points_a, points_b = (np.asarray(x.keypoints, np.float64) for x in (a, b))
         return points_a[matches.valid], points_b[matches.index_b[matches.valid]]
 
 
 def make_extractor(name: str, *, max_keypoints: int, weights: Path | None) -> Extractor:
-    """One of `NAMES`; `weights` are those of SuperFeats, None means the shipped ones."""
+    """The extractor of a name.
+
+    Args:
+        name: one of `NAMES`.
+        max_keypoints: slots for keypoints.
+        weights: file with SuperFeats' weights; None means the shipped ones.
+    """
     if name == "superfeats":
         params = superfeats.load_weights(weights)
         return Extractor(
@@ -51,7 +57,7 @@ def make_extractor(name: str, *, max_keypoints: int, weights: Path | None) -> Ex
 
 
 class _XFeatOfAnySize:
-    """XFeat with a network for each image size, up to the multiples of 32 that it needs."""
+    """XFeat with a network for each image size, rounded up to the multiples of 32 that it needs."""
 
     def __init__(self, max_keypoints: int) -> None:
         self._max_keypoints = max_keypoints

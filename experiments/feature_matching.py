@@ -2,13 +2,15 @@
 
     python -m experiments.feature_matching [--weights PATH] [--extractors NAME ...] [--recording DIR ...]
 
-Without options: RedKitchen's frames 300 to 599, fr1_rpy, the ScanNet pairs and changed photographs below
-SFGS_DATA, by default `../shared`; of its photographs those that SuperFeats was not trained on. Of fr1_rpy,
-whose camera turns but hardly moves, the rotation's error alone is taken. Relative poses are by RANSAC over
-essential matrices at 1 pixel; an accuracy is the share of pairs whose larger angular error, of rotation or of
-the translation's direction, is below the angle. RANSAC runs several times on each pair, with the matches in
-another order; behind ± is the standard deviation.
-Poses and focal lengths are the readers', so those of 7-Scenes are its colour camera's. The tables are in
+Without options the pairs come from RedKitchen's frames 300 to 599, fr1_rpy, the ScanNet pairs, and changed
+photographs that SuperFeats was not trained on. They are found through SFGS_DATA, by default `../shared`.
+
+Relative poses are found by RANSAC over essential matrices at 1 pixel. A pair's angular error is the larger of
+rotation's and the translation direction's. An accuracy is the share of pairs with an error below the angle.
+The camera of fr1_rpy turns but hardly moves, so the rotation's error alone counts there. RANSAC runs several
+times on each pair, with the matches in another order; ± is the standard deviation.
+
+Poses and intrinsics are the readers'; for 7-Scenes they belong to its colour camera. The tables are in
 Markdown; experiments/results.md keeps the last ones. Needs onnxruntime and onnx.
 """
 
@@ -58,9 +60,12 @@ PIXELS = 640
 
 
 def of_recording(folder: str, options: ReaderOptions, *, turning: bool = False) -> list[PoseSample]:
-    """Frames 10, 20, 30 and 45 apart, at least 10 cm and at most 45 degrees, every 7th start.
+    """Pairs of a recording: frames 10, 20, 30 and 45 apart, at least 10 cm and at most 45 degrees.
 
-    Of a camera that turns, `TURNING_GAPS` apart and at any distance.
+    Args:
+        folder: the recording.
+        options: of its reader.
+        turning: the camera turns but hardly moves. Frames are then `TURNING_GAPS` apart, at any distance.
     """
     recording = open_recording(folder, options=options)
     K = np.asarray(recording.camera.matrix(), np.float64)
@@ -84,10 +89,10 @@ def of_recording(folder: str, options: ReaderOptions, *, turning: bool = False) 
 
 
 def of_photographs(pairs: Iterable[PosePair], longest: int) -> Iterator[PoseSample]:
-    """Pairs of photographs, shrunk to `longest` pixels."""
+    """Pairs of photographs, their longer sides shrunk to `longest` pixels."""
     for pair in pairs:
         (a, b), (K_a, K_b) = pair.load(longest=longest)
-        # Used up before the next pair is loaded.
+        # The caller uses each sample before the next pair is loaded.
         yield PoseSample(TOTAL, lambda x, a=a, b=b: (x.extract(a), x.extract(b)), K_a, K_b, pair.T_b_a)
 
 
@@ -104,13 +109,13 @@ def unseen_photos() -> Photos:
 
 
 def main() -> None:
-    """Print the tables that were asked for."""
+    """Print the requested tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--extractors", nargs="+", choices=NAMES, default=NAMES)
-    parser.add_argument("--weights", type=Path, help="of SuperFeats; the shipped ones if not given")
+    parser.add_argument("--weights", type=Path, help="of SuperFeats, by default the shipped ones")
     parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES)
     parser.add_argument("--keypoints", type=int, default=2048, help="per image, for relative poses")
-    parser.add_argument("--seeds", type=int, default=5, help="how often RANSAC runs on each pair")
+    parser.add_argument("--seeds", type=int, default=5, help="RANSAC's runs on each pair")
     parser.add_argument("--recording", nargs="+", metavar="DIR", help="instead of RedKitchen 300 to 599")
     parser.add_argument("--scannet", metavar="DIR", default=str(DATA / "scannet_pairs"))
     parser.add_argument("--megadepth", metavar="DIR", help="MegaDepth-1500")

@@ -1,4 +1,4 @@
-"""How well the matches of several extractors tell motions and homographies, as tables in Markdown."""
+"""Markdown tables of the accuracy of motions and homographies from several extractors' matches."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ Row = tuple[str, ...]
 _ANGLES = (5.0, 10.0, 20.0)
 _CORNER_PIXELS = (1.0, 3.0, 5.0)
 TOTAL = "total"
-"""The group of all pairs."""
+"""Name of the group of all pairs."""
 POSE_COLUMNS: Row = (
     "",
     "pairs",
@@ -52,12 +52,12 @@ class PoseSample:
     """One pair for relative pose.
 
     Attributes:
-        group: row of the table that it belongs to.
-        features: of both images, by an extractor; asked for so that they can be kept between pairs.
+        group: row of the table.
+        features: features of both images by an extractor, a function so that they can be kept between pairs.
         K_a: (3, 3) calibration matrix of image a.
-        K_b: (3, 3) that of image b.
+        K_b: (3, 3) calibration matrix of image b.
         T_b_a: (4, 4) the true motion.
-        turning: only the rotation counts, because the camera hardly moves.
+        turning: whether only the rotation counts, because the camera hardly moves.
     """
 
     group: str
@@ -70,14 +70,20 @@ class PoseSample:
 
 @dataclass
 class _PoseFigures:
-    """Angular errors of the pairs seen so far, one column for each seed, and their numbers of matches."""
+    """Angular errors of pairs, one row a pair and one column a seed, and their numbers of matches."""
 
     errors: list[list[float]] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
 
 
 def pose_table(samples: Iterable[PoseSample], extractors: Sequence[Extractor], *, seeds: int) -> list[Row]:
-    """Rows under `POSE_COLUMNS`: accuracies with their standard deviation over RANSAC's seeds."""
+    """Rows under `POSE_COLUMNS`: accuracies with their standard deviations over RANSAC's seeds.
+
+    Args:
+        samples: the pairs.
+        extractors: the methods to compare.
+        seeds: number of RANSAC's runs on each pair.
+    """
     found: dict[tuple[str, str], _PoseFigures] = {}
     for sample in samples:
         for extractor in extractors:
@@ -104,7 +110,7 @@ def pose_table(samples: Iterable[PoseSample], extractors: Sequence[Extractor], *
 
 
 def plane_table(pairs: Iterable[WarpedPhoto], extractors: Sequence[Extractor]) -> list[Row]:
-    """Rows under `PLANE_COLUMNS`, at 3 pixels where no other number stands in a column's name."""
+    """Rows under `PLANE_COLUMNS`; columns without a number in their names have a threshold of 3 pixels."""
     found: dict[tuple[str, str], list[tuple[float, ...]]] = {}
     for pair in pairs:
         for extractor in extractors:
@@ -139,7 +145,7 @@ def _plane_figures(pair: WarpedPhoto, extractor: Extractor) -> tuple[float, ...]
 
 
 def print_table(title: str, columns: Row, rows: Sequence[Row]) -> None:
-    """The table under its title."""
+    """Print a table under its title."""
     print(f"\n{title}\n")
     for row in (columns, tuple("---" for _ in columns), *rows):
         print("| " + " | ".join(row) + " |", flush=True)

@@ -14,12 +14,11 @@ from dataclasses import replace
 import numpy as np
 from rich.progress import track
 
+from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import SyntheticRecording, prefetch
 from sfgs_jax.evaluation import ate
-from sfgs_jax.geometry import FrameError, se3
-from sfgs_jax.slam import SlamConfig, init
-from sfgs_jax.slam.state import SlamState
-from sfgs_jax.slam.step import follow
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam import SlamConfig, SlamState, follow, init
 
 FRAMES = {"ring": 1000, "twins": 600, "wall": 300, "sphere": 400}
 WITH_LOOPS = SlamConfig()
@@ -35,9 +34,9 @@ def angle(T: np.ndarray) -> float:
 def false_loops(state: SlamState, truth: np.ndarray) -> int:
     """How many closed loops join what is not in one place."""
     false = 0
-    for edge in state.loops:
-        a, b = (truth[state.keyframes[k].frame] for k in (edge.target, edge.source))
-        off = np.linalg.inv(np.linalg.inv(a) @ b) @ np.asarray(se3.matrix(edge.T_target_source))
+    for edge in state.graph.loops:
+        a, b = (truth[state.graph.keyframes[k].frame] for k in (edge.target, edge.source))
+        off = np.linalg.inv(np.linalg.inv(a) @ b) @ se3.matrices_of(edge.T_target_source[None])[0]
         false += bool(np.linalg.norm(off[:3, 3]) > MARGIN_METRES or angle(off) > MARGIN_DEGREES)
     return false
 
@@ -61,8 +60,8 @@ def measure(place: str, seed: int, config: SlamConfig, name: str) -> tuple[str, 
         f"{100 * error.rmse_m:.1f}",
         f"{100 * error.max_m:.1f}",
         f"{100 * np.linalg.norm(end[:3, 3] - moved[:3, 3]):.1f}",
-        str(len(state.keyframes)),
-        f"{len(state.loops)} / {false_loops(state, truth.poses)}",
+        str(len(state.graph.keyframes)),
+        f"{len(state.graph.loops)} / {false_loops(state, truth.poses)}",
     )
 
 

@@ -25,11 +25,10 @@ from jaxtyping import Float
 
 from experiments.matching_tables import print_table
 from experiments.recordings import SOURCES
+from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import Recording, open_recording, prefetch
-from sfgs_jax.geometry import Camera, FrameError, clean_depth
-from sfgs_jax.geometry.surface import surface
-from sfgs_jax.slam import SlamConfig, init
-from sfgs_jax.slam.step import follow
+from sfgs_jax.geometry import Camera, clean_depth, surface
+from sfgs_jax.slam import SlamConfig, follow, init
 from sfgs_jax.superfeats import extract_orb, match
 
 EVERY = 10

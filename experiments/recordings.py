@@ -48,7 +48,7 @@ def measure(name: str, folder: Path, options: list[str]) -> tuple[str, ...]:
     command = [
         sys.executable,
         "-m",
-        "sfgs_jax.cli",
+        "sfgs_jax",
         "run",
         SOURCES[name],
         "--out",

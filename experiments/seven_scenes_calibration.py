@@ -5,7 +5,7 @@
 Outlines of near things in the depth image, carried into the colour image, should lie on its edges. The
 rotation and translation are those for which they do: for which the colour image's gradient across the
 outlines is largest. No poses are used. The other frames tell whether the result holds for more than those it
-was found on. `sfgs_jax/datasets/seven_scenes.py` has what this prints for RedKitchen's frames 0 to 299.
+was found on. The reader of 7-Scenes has what this prints for RedKitchen's frames 0 to 299.
 """
 
 from collections.abc import Iterable

@@ -1,10 +1,10 @@
-"""How many right and wrong matches a floor for descriptors' similarity keeps, for SuperFeats and XFeat.
+"""Shares of right and wrong matches that a floor for descriptors' similarity keeps, for SuperFeats and XFeat.
 
     python -m experiments.similarity_floor
 
-Photographs that no training saw, against views of them from elsewhere, as they are and with motion blur. A
-mutual nearest neighbour is right if it is within 3 pixels of where the homography puts it. `MIN_SIMILARITY`
-keeps as many of SuperFeats' right ones in blurred views as XFeat's own floor does of XFeat's.
+Photographs that no training saw are matched with warped views, sharp and with motion blur. A mutual nearest
+neighbour is right if it lies within 3 pixels of the point that the homography gives. The default floor of
+`superfeats.match` keeps the share of right matches in blurred views that XFeat's own floor keeps of XFeat's.
 """
 
 import jax
@@ -16,11 +16,11 @@ from experiments.matching_tables import print_table
 from experiments.warped_photos import warped_photos
 from sfgs_jax.evaluation import correct_matches
 from sfgs_jax.superfeats import match
-from sfgs_jax.superfeats.augmentation import motion_blur
+from sfgs_jax.superfeats.training import motion_blur
 
 FLOORS = (0.7, 0.72, 0.75, 0.78, 0.8, 0.82, 0.85)
 BLUR = (5, 15)
-"""Lengths of motion blur, pixels."""
+"""Least and greatest length of motion blur, pixels."""
 
 
 def main() -> None:

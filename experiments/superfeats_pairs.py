@@ -13,50 +13,62 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.xfeat import XFeat, normalised
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import ReaderOptions, open_recording
-from sfgs_jax.geometry import InputError
-from sfgs_jax.superfeats.augmentation import ViewConfig, occlude, random_homography, relight, warp
 from sfgs_jax.superfeats.network import CELL
-from sfgs_jax.superfeats.training import Batch
+from sfgs_jax.superfeats.training import Batch, ViewConfig, occlude, random_homography, relight, warp
 
 SIZE = 320
-"""Side of a view: four of them fill the teacher's input of 640 x 640."""
+"""Side of a view, pixels: four views fill the teacher's input of 640 x 640."""
 
 POINTS = 512
 """Correspondences a pair, at most one in a cell."""
 
 _CELLS = SIZE // CELL
 _MIN_HEAT = 0.03
+"""Least probability of a keypoint by the teacher; a cell with less gives a random point."""
+
 _BORDER = 4.0
+"""Distance from the border of a view below which a point does not count as seen, pixels."""
+
 _DEPTH_TOLERANCE = 0.03
+"""Largest relative difference between a carried point's depth and the measured one."""
+
 _RGBD_VIEW = ViewConfig(max_rotation_deg=15.0, scale=(0.8, 1.25), perspective=0.04, translation=0.05)
 
 Carry = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Takes pixels (N, 2) of the first image to the second; also says which (N,) are seen there."""
+"""Takes pixels (N, 2) of the first image to the second, and returns a mask (N,) of those seen there."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Two grey images in [0, 1] that show the same place, and how far a view may differ from them."""
+    """Two grey images of the same place.
+
+    Attributes:
+        first: (H, W) grey, in [0, 1].
+        second: (H, W) grey, in [0, 1].
+        carry: from the first image's pixels to the second's.
+        change: largest differences of the views made of them.
+        planar: whether both are one image.
+    """
 
     first: np.ndarray
     second: np.ndarray
     carry: Carry
     change: ViewConfig
     planar: bool
-    """Whether both are one image."""
 
 
 @dataclass(frozen=True)
 class Views:
-    """What a pair shows once both images have been warped, relit and partly covered.
+    """A pair of views: both images warped, relit and partly covered.
 
     Attributes:
         images: (2, S, S) normalised.
-        covered: (2, S, S) where something else was laid over the image.
+        covered: (2, S, S) mask of the pixels that something covers.
         carry: from the first view's pixels to the second's.
         H_b_a: (3, 3) the same as a homography, if the pair is planar.
-        planar: whether it is.
+        planar: whether both are views of one image.
     """
 
     images: np.ndarray
@@ -67,15 +79,15 @@ class Views:
 
 
 class Scenes(Protocol):
-    """Where pairs come from."""
+    """A source of pairs."""
 
     def draw(self, rng: np.random.Generator) -> Drawn:
-        """A pair of images, at random."""
+        """Draw a random pair of images."""
         ...
 
 
 class Photos:
-    """Photographs: both images are the same one, and only the views differ."""
+    """Photographs: both images of a pair are the same one, and only the views differ."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         if not paths:
@@ -92,7 +104,7 @@ class Photos:
 
 
 def held_out(photos: Sequence[Path]) -> Sequence[Path]:
-    """Those of a sorted set of photographs that are for judging, not for training."""
+    """Photographs for judging, not for training: every twentieth of a sorted set."""
     return photos[::20]
 
 
@@ -144,14 +156,14 @@ class RecordingPairs:
 def batches(
     scenes: Sequence[tuple[float, Scenes]], teacher: XFeat, *, pairs: int, seed: int, first: int = 0
 ) -> Iterator[Batch]:
-    """An endless stream of batches, made beside the training; batch i is the same in every run.
+    """Endless stream of batches, made beside the training; batch i is the same in every run.
 
     Args:
-        scenes: each with its share of the pairs.
+        scenes: sources of pairs, each with its share.
         teacher: labels the views.
-        pairs: in a batch, even.
+        pairs: pairs in a batch, even.
         seed: of the whole stream.
-        first: number of the first batch, to go on after a stop.
+        first: number of the first batch, to continue after a stop.
     """
     numbers = count(first)
     with ThreadPoolExecutor(2) as pool:
@@ -198,7 +210,7 @@ def _batch(
 
 
 def _views(rng: np.random.Generator, drawn: Drawn) -> Views | None:
-    """Two views; None where they hardly overlap."""
+    """Two views of a pair; None if they hardly overlap."""
     first = _crop(rng, drawn.first.shape)
     middle = np.array([[(SIZE - 1) / 2, (SIZE - 1) / 2]])
     carried, seen = drawn.carry(_apply(np.linalg.inv(first), middle))
@@ -225,7 +237,7 @@ def _views(rng: np.random.Generator, drawn: Drawn) -> Views | None:
 
 
 def _crop(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """A similarity that puts a random part of an image into a view."""
+    """Similarity that takes a random part of an image to a view."""
     height, width = shape
     scale = SIZE / min(height, width) * np.exp(rng.uniform(-0.05, np.log(2.0)))
     extent = SIZE / scale
@@ -234,7 +246,7 @@ def _crop(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _labels(teacher: XFeat, images: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The teacher's outputs for (B, 2, S, S) images, four views at a time."""
+    """Heat, descriptors and reliability by the teacher for (B, 2, S, S) images, four views at a time."""
     views = images.reshape(-1, 2, 2, SIZE, SIZE)
     parts: list[list[np.ndarray]] = [[], [], []]
     for mosaic in views:
@@ -253,7 +265,7 @@ def _labels(teacher: XFeat, images: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def _points(rng: np.random.Generator, heat: np.ndarray, views: Views) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a pair, (2, N, 2), and which are seen: a cell's keypoint, or any place where it has none."""
+    """Points (2, N, 2) of a pair and a mask (N,) of the seen: each cell's keypoint, or a random place."""
     best = heat[..., :-1].argmax(-1).reshape(-1)
     strength = heat[..., :-1].max(-1).reshape(-1)
     place = np.where(strength > _MIN_HEAT, best, rng.integers(0, CELL * CELL, best.size))
@@ -271,6 +283,7 @@ def _points(rng: np.random.Generator, heat: np.ndarray, views: Views) -> tuple[n
 
 
 def _apply(H: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) through a homography."""
     mapped = np.column_stack([pixels, np.ones(len(pixels))]) @ H.T
     return mapped[:, :2] / mapped[:, 2:]
 

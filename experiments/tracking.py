@@ -18,12 +18,11 @@ import numpy as np
 from rich.progress import track
 
 from experiments.recordings import SOURCES
+from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import ReaderOptions, Recording, open_recording, prefetch
 from sfgs_jax.evaluation import ate
-from sfgs_jax.geometry import Frame, FrameError
-from sfgs_jax.slam import SlamConfig, init
-from sfgs_jax.slam.step import follow
-from sfgs_jax.slam.stopwatch import Stopwatch
+from sfgs_jax.geometry import Frame
+from sfgs_jax.slam import SlamConfig, Stopwatch, follow, init
 
 WHOLE = SlamConfig()
 TRACKING, GRAPH = WHOLE.tracking, WHOLE.graph
@@ -73,8 +72,8 @@ def measure(
         name,
         f"{len(state.trajectory)} / {len(recording)}",
         f"{error:.2f}",
-        str(len(state.keyframes)),
-        str(len(state.loops)),
+        str(len(state.graph.keyframes)),
+        str(len(state.graph.loops)),
         f"{times['median_ms']:.0f} / {times['p95_ms']:.0f}",
     )
 

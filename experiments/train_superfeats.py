@@ -1,9 +1,9 @@
-"""Trains SuperFeats with XFeat's labels and writes weights, a log of figures and a plot of them.
+"""Train SuperFeats with XFeat's labels.
 
     python -m experiments.train_superfeats runs/superfeats --steps 20000
 
-Started again with the same folder, it goes on after the last checkpoint, with the same batches as if it had
-never stopped. Several JAX devices share each batch.
+Writes weights, a log of figures and a plot. Started again with the same folder, training continues after the
+last checkpoint and sees the same batches. Several JAX devices share each batch.
 """
 
 import json
@@ -25,10 +25,9 @@ from rich.progress import track
 
 from experiments.superfeats_pairs import Photos, RecordingPairs, Scenes, batches, held_out
 from experiments.xfeat import XFeat, default_weights
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import read_photos
-from sfgs_jax.geometry import InputError
-from sfgs_jax.superfeats.layers import fold
-from sfgs_jax.superfeats.network import Network, NetworkConfig, initialise_network
+from sfgs_jax.superfeats.network import Network, NetworkConfig, fold, initialise_network, save_weights
 from sfgs_jax.superfeats.training import (
     Batch,
     LossWeights,
@@ -37,65 +36,87 @@ from sfgs_jax.superfeats.training import (
     initial_state,
     train_step,
 )
-from sfgs_jax.superfeats.weights import save_weights
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 
-# Of the recording that comes with the project's data, the second half is for judging, not for training.
 _TRAINING_FRAMES = (0, 260)
+"""Frames of the project's recording for training; its second half is for judging."""
+
 _VALIDATION_FRAMES = (260, 300)
-_VALIDATION_BATCHES = 8
+"""Frames of the project's recording for validation."""
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """What a training run does."""
+    """Settings of a training run.
+
+    Raises:
+        InputError: a setting is out of its range.
+    """
 
     out: tyro.conf.Positional[Path]
     """Folder of the run: checkpoint.eqx, weights.safetensors, log.jsonl, curves.png."""
 
     steps: int = 20_000
-    """In all; the learning rate falls over them. Another number at a restart bends the rest of the fall."""
+    """Steps in all, more than `warm_up`. The learning rate falls over them; a restart with another number
+    changes the rest of its fall."""
 
     pairs: int = 4
-    """In a batch; even, and a multiple of the number of devices."""
+    """Pairs in a batch; even, and a multiple of the number of devices."""
 
     learning_rate: float = 2e-3
-    """At first; it falls to a hundredth of it along a cosine."""
+    """Highest learning rate, positive. It falls to a hundredth of this along a cosine."""
 
     warm_up: int = 200
-    """Steps over which the learning rate rises to begin with."""
+    """Steps over which the learning rate rises from 0."""
 
     seed: int = 0
-    """Of the first weights and of the batches."""
+    """Seed of the first weights and of the batches."""
 
     save_every: int = 250
-    """Steps from one checkpoint, with its validation, to the next."""
+    """Steps from one checkpoint, with its validation, to the next; positive."""
+
+    validation_batches: int = 8
+    """Batches of held-out pairs that each validation averages; positive."""
 
     recording_share: float = 0.35
-    """Share of pairs from the recording; 0 leaves it out."""
+    """Share of pairs from the recording, in [0, 1]; 0 leaves it out."""
 
     data: Path = field(default_factory=lambda: default_weights().parents[1] / "data")
     """Folder with photos/ and 7scenes/redkitchen/."""
 
     photos: Path | None = None
-    """Photographs elsewhere than in photos/."""
+    """Folder of other photographs than those in photos/."""
 
     layout: Literal["folder", "coco", "megadepth"] = "folder"
-    """How they lie there."""
+    """Layout of the folder of photographs."""
 
     description_from: Path | None = None
-    """checkpoint.eqx of a run whose description branch, of the same widths, this one goes on with."""
+    """File checkpoint.eqx of a run with the same widths, whose description branch this one starts from."""
 
     weights: LossWeights = field(default_factory=LossWeights)
+    """Weights of the losses."""
+
     network: NetworkConfig = field(default_factory=NetworkConfig)
+    """Widths of the network."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.warm_up < self.steps:
+            raise InputError(f"{self.steps} steps leave none after the {self.warm_up} of the warm-up.")
+        if self.pairs < 2 or self.pairs % 2:
+            raise InputError(f"A batch needs a positive even number of pairs, not {self.pairs}.")
+        if min(self.save_every, self.validation_batches) < 1 or self.learning_rate <= 0:
+            raise InputError(
+                f"save_every ({self.save_every}), validation_batches ({self.validation_batches}) and "
+                f"learning_rate ({self.learning_rate}) must be positive."
+            )
+        if not 0 <= self.recording_share <= 1:
+            raise InputError(f"recording_share is a share from 0 to 1, not {self.recording_share}.")
 
 
 def train(config: TrainingConfig) -> None:
-    """Trains until `config.steps`, from the last checkpoint if there is one."""
-    if config.steps <= config.warm_up:
-        raise InputError(f"{config.steps} steps leave none after the {config.warm_up} of the warm-up.")
+    """Train until `config.steps`, from the last checkpoint if there is one."""
     config.out.mkdir(parents=True, exist_ok=True)
     teacher = XFeat(threads=1)
     photos = sorted(read_photos(config.photos or config.data / "photos", layout=config.layout).paths)
@@ -104,7 +125,7 @@ def train(config: TrainingConfig) -> None:
     scenes = _scenes(config, sorted({*photos} - {*judged}), _TRAINING_FRAMES)
 
     optimiser = _optimiser(config.learning_rate, config.warm_up, config.steps)
-    state = initial_state(_first_network(config), optimiser)
+    state = initial_state(first_network(config), optimiser)
     checkpoint = config.out / "checkpoint.eqx"
     if checkpoint.exists():
         state = eqx.tree_deserialise_leaves(checkpoint, state)
@@ -133,17 +154,18 @@ def train(config: TrainingConfig) -> None:
                 "validation": _validate(state, validation, config.weights),
             }
             recent = []
-            _save(config, state, entry)
+            save_checkpoint(config, state, entry)
 
 
 @cache
 def _optimiser(learning_rate: float, warm_up: int, steps: int) -> optax.GradientTransformation:
-    """One object for the same settings, so that a step of several runs is compiled once."""
+    """Adam with warm-up and cosine decay; one object for the same settings, so that runs share a program."""
     schedule = optax.warmup_cosine_decay_schedule(0.0, learning_rate, warm_up, steps, learning_rate / 100)
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
 
 
-def _first_network(config: TrainingConfig) -> Network:
+def first_network(config: TrainingConfig) -> Network:
+    """The network before the first step: random, or with another run's description branch."""
     network = initialise_network(jax.random.key(config.seed), config.network)
     if config.description_from is None:
         return network
@@ -151,7 +173,7 @@ def _first_network(config: TrainingConfig) -> Network:
     def description(network: Network) -> tuple:
         return network.levels, network.fusions, network.describe, network.rely
 
-    # These come first in a checkpoint, so that it may hold another detection branch.
+    # The description branch comes first in a checkpoint, so the detection branch there may be another.
     known = eqx.tree_deserialise_leaves(config.description_from, description(network))
     return eqx.tree_at(description, network, known)
 
@@ -168,7 +190,7 @@ def _scenes(
 
 def _take(scenes: list[tuple[float, Scenes]], teacher: XFeat, config: TrainingConfig) -> list[Batch]:
     stream = batches(scenes, teacher, pairs=config.pairs, seed=0)
-    return [next(stream) for _ in range(_VALIDATION_BATCHES)]
+    return [next(stream) for _ in range(config.validation_batches)]
 
 
 def _validate(state: TrainingState, validation: list[Batch], weights: LossWeights) -> dict[str, float]:
@@ -181,8 +203,14 @@ def _mean(figures: list[dict[str, float]]) -> dict[str, float]:
     return {name: round(float(np.mean([entry[name] for entry in figures])), 5) for name in figures[0]}
 
 
-def _save(config: TrainingConfig, state: TrainingState, entry: dict) -> None:
-    """Writes the checkpoint last, so that a stop in between repeats what was not saved."""
+def save_checkpoint(config: TrainingConfig, state: TrainingState, entry: dict) -> None:
+    """Write weights, log, settings and plot, then the checkpoint; after a stop in between, all are repeated.
+
+    Args:
+        config: settings of the run.
+        state: after the step.
+        entry: the step's figures, for the log.
+    """
     save_weights(config.out / "weights.safetensors", state.network)
     with (config.out / "log.jsonl").open("a") as log:
         log.write(json.dumps(entry) + "\n")

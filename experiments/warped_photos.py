@@ -1,4 +1,4 @@
-"""Pairs made of one photograph: a view from elsewhere, or in another light, in the manner of HPatches."""
+"""Pairs made of one photograph, like those of HPatches: another viewpoint, or another illumination."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,8 +8,9 @@ import numpy as np
 
 from sfgs_jax.datasets import Photos
 
-# Corners move by up to this share of the image's sides.
 _CORNER_SHIFT = 0.2
+"""Range of each corner's motion, as a share of the image's sides."""
+
 _MAX_ROTATION_DEG = 25.0
 _SCALES = (0.75, 1.3)
 
@@ -22,7 +23,7 @@ class WarpedPhoto:
         group: "viewpoint" or "illumination".
         image_a: (H, W, 3) RGB in [0, 1].
         image_b: (H, W, 3) the changed one.
-        H_b_a: (3, 3) takes pixels (u, v) of a to those of b.
+        H_b_a: (3, 3) takes pixels (u, v) of image a to image b.
     """
 
     group: str
@@ -32,7 +33,13 @@ class WarpedPhoto:
 
 
 def warped_photos(photos: Photos, *, count: int, seed: int) -> Iterator[WarpedPhoto]:
-    """Both groups for `count` photographs, evenly spread over the set; the same for the same seed."""
+    """Pairs of both groups for photographs spread evenly over a set.
+
+    Args:
+        photos: the set.
+        count: number of photographs.
+        seed: the same seed gives the same pairs.
+    """
     for index in np.linspace(0, len(photos) - 1, min(count, len(photos))).astype(int).tolist():
         rng = np.random.default_rng((seed, index))
         image = photos[index]
@@ -46,7 +53,13 @@ def warped_photos(photos: Photos, *, count: int, seed: int) -> Iterator[WarpedPh
 
 
 def random_homography(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
-    """(3, 3) a turn and a change of scale about the middle, and corners that move on their own."""
+    """Random homography (3, 3): rotation and scale about the middle, and corners moved by themselves.
+
+    Args:
+        rng: source of the random numbers.
+        height: of the image, pixels.
+        width: of the image, pixels.
+    """
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], np.float64)
     centre = corners.mean(axis=0)
     angle = np.radians(rng.uniform(-_MAX_ROTATION_DEG, _MAX_ROTATION_DEG))
@@ -58,7 +71,7 @@ def random_homography(rng: np.random.Generator, height: int, width: int) -> np.n
 
 
 def other_light(rng: np.random.Generator, image: np.ndarray) -> np.ndarray:
-    """The image with another exposure, contrast, colour of light, a light from one side, and more noise."""
+    """The image with another exposure, contrast and colour of light, light from one side, and more noise."""
     height, width = image.shape[:2]
     v, u = np.mgrid[:height, :width] / max(height, width) - 0.5
     angle = rng.uniform(0, 2 * np.pi)

@@ -1,4 +1,4 @@
-"""XFeat's network in onnxruntime: the teacher of the keypoint labels, and a peer to be measured against.
+"""XFeat in onnxruntime: the teacher of the keypoint labels, and a peer to be measured against.
 
 Source: Potje et al., XFeat: Accelerated Features for Lightweight Image Matching, CVPR 2024.
 """
@@ -11,9 +11,8 @@ import numpy as np
 import onnxruntime
 from jaxtyping import Float
 
-from sfgs_jax.geometry import InputError
-from sfgs_jax.superfeats import Features
-from sfgs_jax.superfeats.packing import pack_features
+from sfgs_jax.arrays import InputError
+from sfgs_jax.superfeats import Features, pack_features
 
 MIN_SIMILARITY = 0.82
 """Cosine below which XFeat's own matching drops a mutual nearest neighbour."""
@@ -25,7 +24,11 @@ _CUBIC = -0.75
 
 
 def default_weights() -> Path:
-    """The network in the data folder. Raises InputError where it isn't."""
+    """Path of the network in the data folder.
+
+    Raises:
+        InputError: there is no such file.
+    """
     root = Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared"))
     path = root / "weights" / "xfeat_640x640.onnx"
     if not path.is_file():
@@ -34,7 +37,7 @@ def default_weights() -> Path:
 
 
 def normalised(grey: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """The image with mean 0 and variance 1, as the network wants it."""
+    """The image with mean 0 and variance 1, the network's input."""
     return np.asarray((grey - grey.mean()) / np.sqrt(grey.var() + 1e-5), np.float32)
 
 
@@ -64,7 +67,7 @@ class XFeat:
     ]:
         """Keypoint logits, descriptors (not of unit length) and reliability of each 8x8 cell.
 
-        Logit 8 r + c is that of the pixel in row r and column c of its cell, the last the dustbin's.
+        Logit 8 r + c belongs to the pixel in row r and column c of its cell, the last one to the dustbin.
 
         Args:
             image: of the network's input size, `normalised`.
@@ -77,10 +80,14 @@ class XFeat:
     def extract(
         self, image: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w 3"], *, max_keypoints: int = 2048
     ) -> Features:
-        """Keypoints of a grey or colour image of any size, as XFeat finds them.
+        """XFeat's keypoints of an image.
 
-        The network's input has one size. A larger image is shrunk to fit; what the image leaves free, at the
-        bottom and on the right, is the image's mean. Keypoints are in pixels of the given image.
+        The network's input has one size. A larger image is shrunk to fit. The rest of the input, below and on
+        the right, is filled with the image's mean. Keypoints are in pixels of the given image.
+
+        Args:
+            image: grey (H, W) or RGB (H, W, 3), of any size.
+            max_keypoints: slots of the result.
         """
         grey = image.mean(axis=2) if image.ndim == 3 else image
         given = grey.shape

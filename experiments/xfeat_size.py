@@ -1,8 +1,8 @@
-"""XFeat's network for images of another size than that of its file.
+"""XFeat's network for images of other sizes than its file's.
 
-The file is an export for 640x640, which holds that size in three places: its input, the sizes to which coarse
-maps are enlarged, and the cutting of the image into 8x8 cells, written out as slices. The graph for another
-size has the same weights; at 640x640 it gives the same numbers.
+The file is an export for 640x640. The size stands in three places: the input, the sizes to which coarse maps
+are enlarged, and the slices that cut the image into 8x8 cells. The graph for another size has the same
+weights; at 640x640 it gives the same numbers.
 """
 
 from pathlib import Path
@@ -17,7 +17,13 @@ _CELLS = "/Reshape_1_output_0"
 
 
 def resized_xfeat(weights: Path, height: int, width: int) -> bytes:
-    """The network as a model file for images of `height` x `width` pixels, multiples of 32."""
+    """The network as a model file for images of another size.
+
+    Args:
+        weights: file of the network for 640x640.
+        height: of the images, pixels, a multiple of 32.
+        width: of the images, pixels, a multiple of 32.
+    """
     model = onnx.load(str(weights))
     graph = model.graph
     makers = {name: node for node in graph.node for name in node.output}
@@ -47,7 +53,7 @@ def resized_xfeat(weights: Path, height: int, width: int) -> bytes:
 
 
 def _ancestors(makers: dict, *, start: str, end: str) -> set[str]:
-    """Names of the values that `start` is made of, itself included, back to `end`, which is not."""
+    """Names of the values that `start` is computed from, with `start` and without `end`."""
     found, open_names = set(), [start]
     while open_names:
         name = open_names.pop()

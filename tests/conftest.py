@@ -45,7 +45,7 @@ def compilations():
     """A list that grows by one with every program that XLA compiles."""
     names: list[str] = []
 
-    def listen(event: str, duration: float, **_: object) -> None:
+    def listen(event: str, duration_secs: float, **_: str | int) -> None:
         if event == "/jax/core/compile/backend_compile_duration":
             names.append(event)
 

@@ -1,32 +1,39 @@
-"""How good a run is: trajectory and image metrics with named protocols, and the report page."""
+"""Quality of a run: trajectory and image metrics by named protocols, matching metrics, and the report page.
 
-from sfgs_jax.evaluation.accuracy import accuracy as accuracy
-from sfgs_jax.evaluation.accuracy import area_under_curve as area_under_curve
-from sfgs_jax.evaluation.alignment import Alignment as Alignment
-from sfgs_jax.evaluation.alignment import align_points as align_points
-from sfgs_jax.evaluation.homography import corner_error as corner_error
-from sfgs_jax.evaluation.homography import correct_matches as correct_matches
-from sfgs_jax.evaluation.homography import estimate_homography as estimate_homography
-from sfgs_jax.evaluation.homography import matching_score as matching_score
-from sfgs_jax.evaluation.homography import repeatability as repeatability
-from sfgs_jax.evaluation.homography import transfer as transfer
-from sfgs_jax.evaluation.image_metrics import PROTOCOLS as PROTOCOLS
-from sfgs_jax.evaluation.image_metrics import Protocol as Protocol
-from sfgs_jax.evaluation.image_metrics import frames_of as frames_of
-from sfgs_jax.evaluation.image_metrics import psnr as psnr
-from sfgs_jax.evaluation.image_metrics import psnr_by_protocol as psnr_by_protocol
-from sfgs_jax.evaluation.image_metrics import ssim_by_protocol as ssim_by_protocol
-from sfgs_jax.evaluation.perceptual import LpipsWeights as LpipsWeights
-from sfgs_jax.evaluation.perceptual import default_lpips_path as default_lpips_path
-from sfgs_jax.evaluation.perceptual import load_lpips as load_lpips
-from sfgs_jax.evaluation.perceptual import lpips as lpips
-from sfgs_jax.evaluation.relative_pose import EstimatedMotion as EstimatedMotion
-from sfgs_jax.evaluation.relative_pose import PoseError as PoseError
-from sfgs_jax.evaluation.relative_pose import estimate_motion as estimate_motion
-from sfgs_jax.evaluation.relative_pose import pose_error as pose_error
+The function `evaluate_run` computes every metric of a run's folder; `write_report` makes its page. The rest
+are the metrics by themselves, in the packages `trajectory`, `images`, `matching` and `report`.
+"""
+
+from sfgs_jax.evaluation._evaluate_run import evaluate_run as evaluate_run
+from sfgs_jax.evaluation._run_folder import PosedFrames as PosedFrames
+from sfgs_jax.evaluation._run_folder import posed_frames as posed_frames
+from sfgs_jax.evaluation.images import PROTOCOLS as PROTOCOLS
+from sfgs_jax.evaluation.images import LpipsWeights as LpipsWeights
+from sfgs_jax.evaluation.images import MapRenderer as MapRenderer
+from sfgs_jax.evaluation.images import Protocol as Protocol
+from sfgs_jax.evaluation.images import default_lpips_path as default_lpips_path
+from sfgs_jax.evaluation.images import frames_of as frames_of
+from sfgs_jax.evaluation.images import load_lpips as load_lpips
+from sfgs_jax.evaluation.images import lpips as lpips
+from sfgs_jax.evaluation.images import psnr as psnr
+from sfgs_jax.evaluation.images import psnr_by_protocol as psnr_by_protocol
+from sfgs_jax.evaluation.images import ssim_by_protocol as ssim_by_protocol
+from sfgs_jax.evaluation.matching import EstimatedMotion as EstimatedMotion
+from sfgs_jax.evaluation.matching import PoseError as PoseError
+from sfgs_jax.evaluation.matching import accuracy as accuracy
+from sfgs_jax.evaluation.matching import area_under_curve as area_under_curve
+from sfgs_jax.evaluation.matching import corner_error as corner_error
+from sfgs_jax.evaluation.matching import correct_matches as correct_matches
+from sfgs_jax.evaluation.matching import estimate_homography as estimate_homography
+from sfgs_jax.evaluation.matching import estimate_motion as estimate_motion
+from sfgs_jax.evaluation.matching import matching_score as matching_score
+from sfgs_jax.evaluation.matching import pose_error as pose_error
+from sfgs_jax.evaluation.matching import repeatability as repeatability
+from sfgs_jax.evaluation.matching import transfer as transfer
 from sfgs_jax.evaluation.report import write_report as write_report
-from sfgs_jax.evaluation.run import evaluate_run as evaluate_run
-from sfgs_jax.evaluation.trajectory_metrics import Ate as Ate
-from sfgs_jax.evaluation.trajectory_metrics import Rpe as Rpe
-from sfgs_jax.evaluation.trajectory_metrics import ate as ate
-from sfgs_jax.evaluation.trajectory_metrics import rpe as rpe
+from sfgs_jax.evaluation.trajectory import Alignment as Alignment
+from sfgs_jax.evaluation.trajectory import Ate as Ate
+from sfgs_jax.evaluation.trajectory import Rpe as Rpe
+from sfgs_jax.evaluation.trajectory import align_points as align_points
+from sfgs_jax.evaluation.trajectory import ate as ate
+from sfgs_jax.evaluation.trajectory import rpe as rpe

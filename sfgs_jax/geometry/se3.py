@@ -1,8 +1,12 @@
-"""Rigid motions on jaxlie.
+"""Rigid motions on jaxlie, and their counterparts on the host.
 
-Poses are `jaxlie.SE3` everywhere; tangents are jaxlie's (translation first, then rotation) and perturb
-on the right: `T @ exp(delta)`. These functions are the only calls into jaxlie's arithmetic: jaxlie mixes
-integer constants into float expressions, which strict dtype promotion refuses, so they allow it locally.
+Poses are `jaxlie.SE3` everywhere; tangents are jaxlie's (translation first, then rotation) and perturb on
+the right: `T @ exp(delta)`. Functions of `jaxlie.SE3` run on the device, with products in full float32. TF32,
+the default on recent GPUs, would move a point five metres away by millimetres. Functions of NumPy arrays run
+on the host in float64.
+
+The library calls jaxlie's arithmetic here only. jaxlie mixes integers with floats and arrays of different
+rank, which strict promotion refuses, so promotion is allowed locally.
 """
 
 from collections.abc import Callable
@@ -15,16 +19,25 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.geometry.rotations import quaternions_from_rotations, rotations_from_quaternions
+from sfgs_jax.geometry._rotations import (
+    quaternions_from_rotations,
+    rotation_vectors,
+    rotations_from_quaternions,
+)
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+_EXACT = jax.lax.Precision.HIGHEST
 
 
 def _promoting(function: Callable[_P, _R]) -> Callable[_P, _R]:
     @wraps(function)
     def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        with jax.numpy_dtype_promotion("standard"):
+        with (
+            jax.numpy_dtype_promotion("standard"),
+            jax.numpy_rank_promotion("allow"),
+            jax.default_matmul_precision("highest"),
+        ):
             return function(*args, **kwargs)
 
     # Called on the host, each is one small program rather than dozens; inside a larger one it dissolves.
@@ -82,8 +95,29 @@ def rotation_matrix(T: jaxlie.SE3) -> Float[Array, "*b 3 3"]:
 
 def transform(T_a_b: jaxlie.SE3, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """Points given in frame b, in frame a. One motion, any number of points."""
-    rotation = rotation_matrix(T_a_b)
-    return jnp.einsum("ij,...j->...i", rotation, points) + T_a_b.wxyz_xyz[4:]
+    turned = jnp.einsum("ij,...j->...i", rotation_matrix(T_a_b), points, precision=_EXACT)
+    return turned + T_a_b.wxyz_xyz[4:].reshape((1,) * (points.ndim - 1) + (3,))
+
+
+def extent(T: jaxlie.SE3) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+    """Lengths of a motion's translation and rotation by its tangent, metres and radians."""
+    tangent = log(T)
+    return jnp.linalg.norm(tangent[..., :3], axis=-1), jnp.linalg.norm(tangent[..., 3:], axis=-1)
+
+
+def quaternion_product(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Hamilton product of quaternions wxyz of any length: the rotation b, then a."""
+    w, v = a[..., :1], a[..., 1:]
+    x, u = b[..., :1], b[..., 1:]
+    scalar = w * x - jnp.sum(v * u, axis=-1, keepdims=True)
+    return jnp.concatenate([scalar, w * u + x * v + jnp.cross(v, u)], axis=-1)
+
+
+def rotate(quaternions: Float[Array, "*b 4"], points: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """Points rotated by unit quaternions wxyz, one each."""
+    w, axis = quaternions[..., :1], quaternions[..., 1:]
+    across = 2 * jnp.cross(axis, points)
+    return points + w * across + jnp.cross(axis, across)
 
 
 def from_matrix(matrix: Float[np.ndarray, "4 4"], dtype: jnp.dtype | type = jnp.float32) -> jaxlie.SE3:
@@ -93,17 +127,36 @@ def from_matrix(matrix: Float[np.ndarray, "4 4"], dtype: jnp.dtype | type = jnp.
 
 
 def to_matrices(poses: jaxlie.SE3) -> Float[np.ndarray, "n 4 4"]:
-    """Homogeneous matrices, float64 on the host, of a batch of n motions."""
+    """Homogeneous matrices on the host, in float64, of a batch of n motions."""
     return matrices_of(np.asarray(poses.wxyz_xyz))
 
 
 def matrices_of(parameters: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 4 4"]:
-    """The same of their parameters wxyz_xyz, without a device."""
+    """Homogeneous matrices on the host, in float64, of parameters wxyz_xyz."""
     parameters = np.asarray(parameters, np.float64)
     matrices = np.tile(np.eye(4), (len(parameters), 1, 1))
     matrices[:, :3, :3] = rotations_from_quaternions(parameters[:, :4])
     matrices[:, :3, 3] = parameters[:, 4:]
     return matrices
+
+
+def adjoints_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6 6"]:
+    """Ad(T) of homogeneous matrices on the host, in float64; translation first."""
+    R, t = matrices[:, :3, :3], matrices[:, :3, 3]
+    adjoints = np.zeros((len(matrices), 6, 6))
+    adjoints[:, :3, :3] = adjoints[:, 3:, 3:] = R
+    adjoints[:, :3, 3:] = np.cross(t[:, None], np.swapaxes(R, 1, 2)).swapaxes(1, 2)
+    return adjoints
+
+
+def logs_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:
+    """Tangents (translation first) of homogeneous matrices on the host, in float64."""
+    w, t = rotation_vectors(matrices[:, :3, :3]), matrices[:, :3, 3]
+    angle = np.linalg.norm(w, axis=1, keepdims=True)
+    half = np.maximum(angle, 1e-4) / 2  # below, the second-order term is less than rounding
+    bend = (1 - half / np.tan(half)) / (2 * half) ** 2
+    v = t - np.cross(w, t) / 2 + bend * np.cross(w, np.cross(w, t))
+    return np.concatenate([v, w], axis=1)
 
 
 @_promoting

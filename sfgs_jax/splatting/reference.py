@@ -1,7 +1,7 @@
-"""The renderer's equations once more, slowly: every Gaussian at every pixel, gradients by JAX.
+"""Dense reference renderer: every Gaussian at every pixel, gradients by JAX. The oracle of the tests.
 
-The oracle of the tests. It shares no code with the fast path beyond the classes and constants, and writes
-matrices as the papers do. Time and memory are N x H x W.
+It shares classes and constants with the fast renderer, but no code, and writes matrices as the papers do.
+Time and memory are N x H x W. All products ask for the highest precision.
 """
 
 import jax
@@ -10,11 +10,11 @@ import jaxlie
 from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.splatting.compositing import MAX_ALPHA, MIN_TRANSMITTANCE
-from sfgs_jax.splatting.config import DEFAULT, RenderConfig
-from sfgs_jax.splatting.gaussians import Gaussians
-from sfgs_jax.splatting.projection import LOW_PASS, MIN_ALPHA
-from sfgs_jax.splatting.rendering import RenderOutput
+from sfgs_jax.splatting._compositing import MAX_ALPHA, MIN_TRANSMITTANCE
+from sfgs_jax.splatting._config import DEFAULT, RenderConfig
+from sfgs_jax.splatting._gaussians import Gaussians
+from sfgs_jax.splatting._projection import LOW_PASS, MIN_ALPHA
+from sfgs_jax.splatting._rendering import RenderOutput
 
 
 def render(
@@ -27,7 +27,24 @@ def render(
     *,
     config: RenderConfig = DEFAULT,
 ) -> RenderOutput:
-    """As `splatting.render`, which see; tile size and pair capacity have no influence."""
+    """Draw the Gaussians as the camera sees them, without tiles.
+
+    Arguments and result are those of `splatting.render`. The tile size and the pair capacity of `config` have
+    no influence, and `overflow` is 0.
+    """
+    with jax.default_matmul_precision("highest"):
+        return _render(gaussians, camera, T_world_cam, background, colours, features, config)
+
+
+def _render(
+    gaussians: Gaussians,
+    camera: Camera,
+    T_world_cam: jaxlie.SE3,
+    background: Float[Array, "3"] | None,
+    colours: Float[Array, "n 3"] | None,
+    features: Float[Array, "n c"] | None,
+    config: RenderConfig,
+) -> RenderOutput:
     view = jax.vmap(lambda g: _view(g, camera, T_world_cam, config))(gaussians)
     centre, whitening, opacity, colour, depth, drawn = view
     order = jnp.argsort(jnp.where(drawn, depth.astype(jnp.float32), jnp.inf), stable=True)
@@ -69,14 +86,18 @@ def render(
 def _view(
     gaussian: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Of one Gaussian: image centre, inverse Cholesky factor of the image's covariance, opacity, colour,
-    depth, and whether it is drawn."""
+    """Image of one Gaussian.
+
+    Returns:
+        Centre (2,), inverse Cholesky factor (2, 2) of the image's covariance, opacity, colour (3,), depth,
+        and whether it is drawn.
+    """
     R_world_cam = se3.rotation_matrix(T_world_cam)
     offset = gaussian.means - T_world_cam.wxyz_xyz[4:]
     point = R_world_cam.T @ offset
     drawn = gaussian.valid & (point[2] > config.near) & (point[2] < config.far)
 
-    # What is not drawn is computed for a Gaussian that could be, so that no NaN arises.
+    # A Gaussian that is not drawn is replaced by one that could be, so that no NaN arises.
     offset = jnp.where(drawn, offset, R_world_cam[:, 2])
     quaternion = jnp.where(drawn, gaussian.quaternions, jnp.asarray([1, 0, 0, 0], offset.dtype))
     scale = jnp.exp(jnp.where(drawn, gaussian.log_scales, 0))
@@ -98,13 +119,13 @@ def _view(
     )
     M = J @ R_world_cam.T @ _rotation(quaternion) * scale
     (a, b), (_, c) = M @ M.T + LOW_PASS * jnp.eye(2, dtype=z.dtype)
-    # det (M Mᵀ) = |m₁ x m₂|² (Cauchy-Binet). As a c - b² the determinant of a needle would be rounding alone.
+    # det (M Mᵀ) = |m₁ x m₂|² (Cauchy-Binet). For a needle a c - b² would be rounding alone.
     sharp = jnp.sum(jnp.cross(M[0], M[1]) ** 2)
     blurred = sharp + LOW_PASS * (a + c - LOW_PASS)
     opacity = jax.nn.sigmoid(logit)
     if config.antialiased:
         opacity = opacity * jnp.sqrt(jnp.maximum(sharp / blurred, 1e-12))
-    # L⁻¹ for the Cholesky factor L = [[√a, 0], [b / √a, √(det / a)]] of the covariance.
+    # Inverse of the covariance's Cholesky factor [[√a, 0], [b / √a, √(det / a)]].
     whitening = jnp.stack([jnp.stack([zero + 1, zero]), jnp.stack([-b, a]) / jnp.sqrt(blurred)]) / jnp.sqrt(a)
     centre = jnp.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
     return centre, whitening, opacity, _colour(sh, offset), z, drawn

@@ -1,6 +1,10 @@
-"""Maps and paths in the browser, on viser."""
+"""Maps and paths in the browser, on viser.
 
-from sfgs_jax.viewer.scene import MapScene as MapScene
-from sfgs_jax.viewer.splats import Splats as Splats
-from sfgs_jax.viewer.splats import splats_of as splats_of
-from sfgs_jax.viewer.view import view_run as view_run
+The function `view_run` shows the folder of a run or a splat file. `MapScene` shows any map and path in any
+viser server.
+"""
+
+from sfgs_jax.viewer._scene import MapScene as MapScene
+from sfgs_jax.viewer._splats import Splats as Splats
+from sfgs_jax.viewer._splats import splats_of as splats_of
+from sfgs_jax.viewer._view import view_run as view_run

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sfgs_jax.cli.configuration import RunConfig, from_json, read_config, to_json
+from sfgs_jax.arrays import InputError
+from sfgs_jax.cli import RunConfig, from_json, read_config, to_json
 from sfgs_jax.datasets import ReaderOptions
-from sfgs_jax.geometry import InputError
 from sfgs_jax.slam import LearningRates, MappingConfig, OptimisationConfig, SlamConfig
 
 
@@ -39,6 +39,11 @@ def test_missing_settings_keep_their_defaults(config):
         (("slam", "mapping", "view_interval"), True, "view_interval cannot be True"),
         (("slam", "speed"), 3, "a setting 'speed' that this version does not know"),
         (("reader",), 3, "must hold settings by name"),
+        (
+            ("reader", "stride"),
+            0,
+            "config.json: reader: The setting stride must be a whole number",
+        ),
     ],
 )
 def test_wrong_settings_are_named(config, path, value, words):

@@ -1,9 +1,12 @@
-"""`sfgs-jax doctor` says what is there and what is missing."""
+"""`sfgs-jax doctor` says what is there, what is missing and what is wrong."""
 
-from importlib.metadata import PackageNotFoundError
+from importlib.metadata import PackageNotFoundError, version
 
-import sfgs_jax.cli.doctor as doctor
-from sfgs_jax.cli.main import main
+from sfgs_jax.cli import doctor_command, main
+
+
+def lines(capsys, state: str) -> list[str]:
+    return [line for line in capsys.readouterr().out.splitlines() if line.startswith(state)]
 
 
 def test_a_sound_installation(capsys, tmp_path, monkeypatch):
@@ -12,28 +15,30 @@ def test_a_sound_installation(capsys, tmp_path, monkeypatch):
     shown = capsys.readouterr().out
     assert "cpu" in shown
     assert str(tmp_path / "cache") in shown
-    assert not any(line.startswith("missing") for line in shown.splitlines())
+    assert all(line.startswith("ok ") for line in shown.splitlines())
 
 
 def test_a_missing_package_and_a_read_only_cache_are_named(capsys, tmp_path, monkeypatch):
-    real = doctor.version
-
-    def version(name):
+    def without_viser(name: str) -> str:
         if name == "viser":
             raise PackageNotFoundError(name)
-        return real(name)
+        return version(name)
 
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(doctor, "version", version)
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "file" / "cache"))
-    assert main(["doctor"]) == 1
-    missing = [line for line in capsys.readouterr().out.splitlines() if line.startswith("missing")]
+    assert doctor_command([], version=without_viser) == 1
+    missing = lines(capsys, "missing")
     assert any("viser" in line and "pip install" in line for line in missing)
     assert any("compilation cache" in line for line in missing)
 
 
-def test_two_opencv_wheels_are_noticed(monkeypatch, capsys):
-    real = doctor.version
-    monkeypatch.setattr(doctor, "version", lambda name: "4.1" if name == "opencv-python" else real(name))
-    main(["doctor"])
-    assert "opencv-python 4.1 is installed beside the headless one" in capsys.readouterr().out
+def test_two_opencv_wheels_are_noticed(capsys):
+    assert doctor_command([], version=lambda name: "4.1" if name == "opencv-python" else version(name)) == 1
+    (line,) = lines(capsys, "wrong")
+    assert "opencv-python 4.1 is installed beside the headless one" in line
+
+
+def test_a_jaxlib_with_wrong_sums_is_named(capsys):
+    assert doctor_command([], version=lambda name: "0.10.2" if name == "jaxlib" else version(name)) == 1
+    (line,) = lines(capsys, "wrong")
+    assert line.endswith("0.10.2 returns wrong sums on CPUs for some shapes (jax#39103); install 0.10.1")

@@ -5,16 +5,18 @@ import os
 import re
 import shutil
 import signal
+import tempfile
+from functools import partial
 
 import cv2
+import jax
 import numpy as np
 import pytest
 
-import sfgs_jax.cli.run as run_module
-from sfgs_jax.cli.main import main
-from sfgs_jax.datasets import SyntheticRecording, write_recording
+from sfgs_jax.cli import COMMANDS, Command, main, run_command
+from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, prefetch, write_recording
 from sfgs_jax.geometry import read_tum
-from sfgs_jax.slam import OUTPUT_FILES, outputs
+from sfgs_jax.slam import OUTPUT_FILES
 from sfgs_jax.splatting import load_ply
 
 SMALL = [
@@ -37,10 +39,21 @@ def recording_folder(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(autouse=True)
-def no_compilation_cache(monkeypatch):
-    """Tests leave the user's cache alone."""
-    monkeypatch.setattr(run_module, "enable_compilation_cache", lambda: None)
+@pytest.fixture(autouse=True, scope="module")
+def own_compilation_cache(tmp_path_factory):
+    """Tests leave the user's cache alone, and JAX's settings as they were."""
+    names = (
+        "jax_compilation_cache_dir",
+        "jax_persistent_cache_min_compile_time_secs",
+        "jax_persistent_cache_min_entry_size_bytes",
+    )
+    before = {name: jax.config.values[name] for name in names}
+    with pytest.MonkeyPatch.context() as patch:
+        folder = before["jax_compilation_cache_dir"] or str(tmp_path_factory.mktemp("programs"))
+        patch.setenv("JAX_COMPILATION_CACHE_DIR", folder)
+        yield
+    for name, value in before.items():
+        jax.config.update(name, value)
 
 
 @pytest.fixture
@@ -49,8 +62,26 @@ def copy(recording_folder, tmp_path):
     return shutil.copytree(recording_folder, tmp_path / "copy")
 
 
-def run(source, out, *options):
-    return main(["run", str(source), "--out", str(out), *SMALL, *options])
+def run(source, out, *options, frames=prefetch):
+    """`sfgs-jax run`, with another source of frames if one is given."""
+    commands = {**COMMANDS, "run": Command(partial(run_command, frames=frames), "")}
+    return main(["run", str(source), "--out", str(out), *SMALL, *options], commands=commands)
+
+
+def before_frame(number, action):
+    """A source of frames that does something before it gives one of them."""
+
+    def frames(recording, *, first):
+        for index, frame in prefetch(recording, first=first):
+            if index == number:
+                action()
+            yield index, frame
+
+    return frames
+
+
+def interrupt():
+    raise KeyboardInterrupt
 
 
 @pytest.fixture(scope="module")
@@ -92,8 +123,13 @@ def test_eval_computes_the_metrics_again(finished, capsys):
     after = json.loads((finished / "metrics.json").read_text())
     assert after["ate"] == before["ate"]
     assert after["psnr"]["all"] == pytest.approx(before["psnr"]["all"], abs=1e-3)
+    assert after["frames"] == before["frames"]
     assert (finished / "report.html").exists()
-    assert json.loads(capsys.readouterr().out)["frames"] == before["frames"]
+    shown = capsys.readouterr().out.splitlines()
+    assert f"{NUM_FRAMES} of {NUM_FRAMES} frames tracked" in shown[0]
+    assert f"ATE RMSE {100 * after['ate']['rmse_m']:.2f} cm" in shown
+    assert f"report: {finished / 'report.html'}" in shown
+    assert len(shown) < 12
 
 
 @pytest.mark.parametrize(
@@ -187,38 +223,19 @@ def test_without_ground_truth_it_runs_and_says_what_it_cannot_give(copy, tmp_pat
 
 
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
-def test_interruption_saves_what_there_is_and_exits_130(recording_folder, tmp_path, monkeypatch, signum):
-    real = run_module.prefetch
-
-    def interrupted(recording, **options):
-        for index, frame in real(recording, **options):
-            if index == 6:
-                os.kill(os.getpid(), signum)
-            yield index, frame
-
-    monkeypatch.setattr(run_module, "prefetch", interrupted)
+def test_interruption_saves_what_there_is_and_exits_130(recording_folder, tmp_path, signum):
     # A shell's background jobs are born deaf to Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    assert run(recording_folder, tmp_path / "out") == 130
+    frames = before_frame(6, lambda: os.kill(os.getpid(), signum))
+    assert run(recording_folder, tmp_path / "out", frames=frames) == 130
     assert len(read_tum(tmp_path / "out" / "trajectory.txt")) == 6
     assert np.sum(load_ply(tmp_path / "out" / "map.ply").valid) > 500
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["frames"]["interrupted"] is True
 
 
-def test_a_run_that_was_stopped_goes_on_to_the_same_end(
-    finished, recording_folder, tmp_path, monkeypatch, capsys
-):
-    real, out = run_module.prefetch, tmp_path / "out"
-
-    def interrupted(recording, **options):
-        for index, frame in real(recording, **options):
-            if index == 6:
-                raise KeyboardInterrupt
-            yield index, frame
-
-    with monkeypatch.context() as patch:
-        patch.setattr(run_module, "prefetch", interrupted)
-        assert run(recording_folder, out) == 130
+def test_a_run_that_was_stopped_goes_on_to_the_same_end(finished, recording_folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run(recording_folder, out, frames=before_frame(6, interrupt)) == 130
     assert "--resume" in capsys.readouterr().err
     assert run(recording_folder, out, "--resume", "--mapping.view-interval", "3") == 2
     assert "other settings" in capsys.readouterr().err
@@ -230,33 +247,51 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_end(
     assert "no run that could be resumed" in capsys.readouterr().err
 
 
-def test_ablations_reach_the_settings(recording_folder, tmp_path, capsys):
+def test_an_ablation_reaches_the_settings(recording_folder, tmp_path, capsys):
     out = tmp_path / "out"
-    switches = ["--no-factor-graph", "--no-loops", "--features", "none"]
-    assert run(recording_folder, out, *switches, "--no-evaluate", "--reader.end", "3") == 0
+    options = ["--ablation", "no-features", "--graph.no-enabled", "--graph.no-loops", "--reader.end", "3"]
+    assert run(recording_folder, out, *options, "--no-evaluate") == 0
     slam = json.loads((out / "config.json").read_text())["slam"]
     assert slam["tracking"]["features"]["kind"] == "none"
     assert slam["graph"]["enabled"] is slam["graph"]["loops"] is False
-    assert run(recording_folder, tmp_path / "b", "--features", "none", "--no-gicp") == 2
+    nothing = ["--ablation", "no-gicp", "--tracking.features.kind", "none"]
+    assert run(recording_folder, tmp_path / "b", *nothing) == 2
     assert "nothing is left" in capsys.readouterr().err
+    assert not (tmp_path / "b").exists()
 
 
-def test_a_full_disk_costs_no_results(recording_folder, tmp_path, monkeypatch, capsys):
+def test_a_folder_that_can_no_longer_be_written_costs_no_results(
+    recording_folder, tmp_path, monkeypatch, capsys
+):
     out, refuge = tmp_path / "out", tmp_path / "refuge"
     refuge.mkdir()
-    real = outputs.write_atomically
+    monkeypatch.setattr(tempfile, "tempdir", str(refuge))
 
-    def full(path, content):
-        if path.parent == out:
-            raise OSError(28, "No space left on device", str(path))
-        real(path, content)
+    def block():
+        shutil.rmtree(out)
+        out.write_text("")
 
-    monkeypatch.setattr(outputs, "write_atomically", full)
-    monkeypatch.setattr(run_module.tempfile, "mkdtemp", lambda prefix: str(refuge))
-    assert run(recording_folder, out, "--no-evaluate") == 1
-    assert str(refuge) in capsys.readouterr().err
-    assert len(read_tum(refuge / "trajectory.txt")) == NUM_FRAMES
-    assert np.sum(load_ply(refuge / "map.ply").valid) > 500
+    frames = before_frame(NUM_FRAMES - 1, block)
+    assert run(recording_folder, out, "--no-evaluate", frames=frames) == 1
+    (results,) = refuge.iterdir()
+    assert str(results) in capsys.readouterr().err
+    assert len(read_tum(results / "trajectory.txt")) == NUM_FRAMES
+    assert np.sum(load_ply(results / "map.ply").valid) > 500
+    assert json.loads((results / "config.json").read_text())["dataset"] == "folder"
+
+
+def test_progress_names_the_compilation_and_the_refinement_has_an_end(recording_folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    options = [word for word in SMALL if word != "--quiet"] + ["--reader.end", "3", "--no-evaluate"]
+    assert main(["run", str(recording_folder), "--out", str(out), *options]) == 0
+    shown = capsys.readouterr()
+    lines = shown.err.splitlines()
+    assert lines[0] == "frame 0 of 3, compiling (first run of this size, about a minute)"
+    assert "refining the map, step 3 of 3" in lines
+    # A summary also without the evaluation.
+    assert "3 of 3 frames tracked" in shown.out
+    assert f"metrics and report: sfgs-jax eval {out}" in shown.out
+    assert f"look at the map: sfgs-jax view {out}" in shown.out
 
 
 @pytest.mark.parametrize("arguments", [["fly"], ["run"], ["run", "synthetic", "--dataset", "kitti"]])
@@ -267,6 +302,47 @@ def test_wrong_commands_are_refused(arguments, capsys):
         status = exit_.code
     assert status == 2
     assert capsys.readouterr().err
+
+
+def test_a_run_of_nothing_prints_its_usage(capsys):
+    assert main(["run"]) == 2
+    assert capsys.readouterr().err.startswith("usage: sfgs-jax run SOURCE")
+
+
+def test_a_folder_that_holds_no_run_is_named(finished, tmp_path, capsys):
+    (tmp_path / "half").mkdir()
+    shutil.copy(finished / "config.json", tmp_path / "half")
+    for folder in (tmp_path / "none", tmp_path, tmp_path / "half", finished / "map.ply"):
+        assert main(["eval", str(folder)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"sfgs-jax: {folder} is not a run folder: ")
+        assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "synthetic", "--reader.camera", "nothere.json"], "nothere.json does not exist"),
+        (["run", "synthetic", "--reader.stride", "0"], "stride must be a whole number of at least 1, not 0"),
+        (["eval", "runs/x", "--every", "0"], "every must be a whole number of at least 1, not 0"),
+        (["view", "runs/x", "--port", "70000"], "port must be a number between 1 and 65535, not 70000"),
+    ],
+)
+def test_wrong_settings_get_one_sentence(arguments, words, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("sfgs-jax: ")
+    assert words in error
+    assert len(error.splitlines()) == 1
+
+
+def test_help_and_errors_list_the_same_layouts(capsys):
+    assert main(["run", "synthetic", "--dataset", "kitti"]) == 2
+    assert f"choose from {', '.join(LAYOUTS)}." in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    text = " ".join(re.sub(r"[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
+    assert f"Layout of the recording: {', '.join(LAYOUTS)}." in text
 
 
 def test_help_names_the_commands(capsys):

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.datasets.association import associate, poses_at
+from sfgs_jax.datasets import associate, poses_at
 from sfgs_jax.geometry import Trajectory, se3
 
 

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import open_recording
-from sfgs_jax.geometry import FrameError, InputError, Trajectory, format_tum, se3
+from sfgs_jax.geometry import Trajectory, format_tum, se3
 
 CAMERA = {"fx": 20.0, "fy": 21.0, "cx": 15.5, "cy": 11.5}
 

@@ -4,8 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import open_recording
-from sfgs_jax.geometry import InputError, Trajectory, format_tum, se3
+from sfgs_jax.geometry import Trajectory, format_tum, se3
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import (
     HPATCHES_LARGE,
     HomographyPair,
@@ -15,7 +16,6 @@ from sfgs_jax.datasets import (
     read_pair_list,
     read_scannet_1500,
 )
-from sfgs_jax.geometry import InputError
 
 K_A = np.array([[500.0, 0, 31.5], [0, 510, 23.5], [0, 0, 1]])
 K_B = np.array([[400.0, 0, 30], [0, 410, 20], [0, 0, 1]])

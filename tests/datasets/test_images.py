@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from sfgs_jax.datasets.images import decode_colour, decode_depth
-from sfgs_jax.geometry import FrameError
+from sfgs_jax.arrays import FrameError
+from sfgs_jax.datasets.files import decode_colour, decode_depth, depth_units
 
 
 def test_colour_is_rgb_in_unit_range(tmp_path, write_image, images):
@@ -31,6 +31,14 @@ def test_integer_depth_has_zero_where_missing_or_saturated(tmp_path, write_image
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, [[0, 0.0002, 1], [0, 13.1068, 0.5]], rtol=1e-6)
     np.testing.assert_allclose(decode_depth(tmp_path / "d.png", None)[0, 2], 5.0, rtol=1e-6)
+
+
+def test_depth_survives_the_way_to_units_and_back(tmp_path, write_image):
+    depth = np.array([[0, 0.0004, 1.0], [13.1, 13.2, 100.0]], np.float32)
+    units = depth_units(depth, 5000.0)
+    np.testing.assert_array_equal(units, [[0, 2, 5000], [65500, 0, 0]])
+    write_image(tmp_path / "d.png", units)
+    np.testing.assert_allclose(decode_depth(tmp_path / "d.png", 5000.0), units / 5000, rtol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".tiff"])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import (
     LAYOUTS,
     ReaderOptions,
@@ -11,7 +12,6 @@ from sfgs_jax.datasets import (
     open_recording,
     write_recording,
 )
-from sfgs_jax.geometry import InputError
 
 SOURCE = "synthetic:frames=5,width=80,height=60"
 
@@ -86,21 +86,35 @@ def test_a_frame_without_depth_is_a_frame(room, tmp_path, write_image):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [
-        (ReaderOptions(stride=0), "stride"),
-        (ReaderOptions(max_depth=0.0), "largest depth"),
-        (ReaderOptions(start=5), "it has 5"),
-        (ReaderOptions(start=3, end=2), "from 3 to 2"),
-    ],
+    [(ReaderOptions(start=5), "it has 5"), (ReaderOptions(start=3, end=2), "from 3 to 2")],
 )
 def test_selection_that_leaves_nothing(options, message):
     with pytest.raises(InputError, match=message):
         open_recording(SOURCE, options=options)
 
 
-def test_camera_file_that_is_not_there(room, tmp_path):
-    write_recording(room, tmp_path / "a", layout="tum")
-    with pytest.raises(InputError, match=r"Cannot read .*none\.json"):
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"stride": 0}, "stride"),
+        ({"max_depth": 0.0}, "max_depth"),
+        ({"max_depth": float("nan")}, "max_depth"),
+        ({"depth_scale": -1.0}, "depth_scale"),
+        ({"depth_scale": float("inf")}, "depth_scale"),
+        ({"association_limit": -0.1}, "association_limit"),
+        ({"association_limit": float("nan")}, "association_limit"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(setting, message):
+    with pytest.raises(InputError, match=message) as caught:
+        ReaderOptions(**setting)
+    assert str(caught.value).count(". ") == 0
+
+
+@pytest.mark.parametrize("layout", ["tum", "folder", "replica"])
+def test_a_given_camera_file_that_is_not_there(room, tmp_path, layout):
+    write_recording(room, tmp_path / "a", layout=layout)
+    with pytest.raises(InputError, match=r"given camera file .*none\.json does not exist"):
         open_recording(tmp_path / "a", options=ReaderOptions(camera=tmp_path / "none.json"))
 
 

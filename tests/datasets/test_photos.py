@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import PHOTO_LAYOUTS, read_photos
-from sfgs_jax.geometry import FrameError, InputError
 
 
 @pytest.fixture

@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from sfgs_jax.datasets.ground_truth import ground_truth_by_time, ground_truth_of
-from sfgs_jax.datasets.pose_files import read_matrix_file, read_matrix_rows, read_tum_poses
-from sfgs_jax.geometry import InputError
+from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets.files import (
+    ground_truth_by_frame,
+    ground_truth_by_time,
+    read_matrix_file,
+    read_matrix_rows,
+    read_tum_poses,
+)
 
 IDENTITY_ROW = "1 0 0 0.5 0 1 0 0 0 0 1 0"
 
@@ -59,15 +64,15 @@ def test_tum_poses_by_time_without_broken_ones(tmp_path):
 
 def test_notes_say_what_is_missing(tmp_path):
     poses = [np.eye(4), None, np.full((4, 4), np.nan), np.eye(4)]
-    trajectory, notes = ground_truth_of(poses, np.arange(4.0))
+    trajectory, notes = ground_truth_by_frame(poses, np.arange(4.0))
     assert trajectory is not None
     assert trajectory.timestamps.tolist() == [0.0, 3.0]
     assert notes == [
         "1 ground-truth pose is not finite and ignored.",
         "1 of 4 frames have no ground-truth pose.",
     ]
-    assert ground_truth_of([None, None], np.arange(2.0)) == (None, [])
-    assert ground_truth_of([np.full((4, 4), np.nan)], np.arange(1.0))[0] is None
+    assert ground_truth_by_frame([None, None], np.arange(2.0)) == (None, [])
+    assert ground_truth_by_frame([np.full((4, 4), np.nan)], np.arange(1.0))[0] is None
     assert ground_truth_by_time(tmp_path / "none.txt", np.arange(2.0), 0.02) == (None, [])
     (tmp_path / "empty.txt").write_text("# nothing\n")
     assert "no poses" in ground_truth_by_time(tmp_path / "empty.txt", np.arange(2.0), 0.02)[1][0]

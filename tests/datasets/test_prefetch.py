@@ -6,8 +6,9 @@ import time
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import prefetch
-from sfgs_jax.geometry import Camera, Frame, FrameError
+from sfgs_jax.geometry import Camera, Frame
 
 
 class Scripted:

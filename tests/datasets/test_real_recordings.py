@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 
 from sfgs_jax.datasets import ReaderOptions, open_recording
-from sfgs_jax.datasets.images import decode_depth
+from sfgs_jax.datasets.files import decode_depth
 
 
 def _edge_agreement(rgb: np.ndarray, depth: np.ndarray) -> float:
-    """How much stronger colour edges are where depth jumps than over the whole image."""
+    """Mean colour gradient at jumps of depth, as a multiple of the whole image's."""
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), (0, 0), 1.0)
     gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
     valid = cv2.erode((depth > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import ReaderOptions, open_recording, recording_pairs
-from sfgs_jax.geometry import Camera, Frame, InputError, Trajectory
+from sfgs_jax.geometry import Camera, Frame, Trajectory
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import open_recording
-from sfgs_jax.geometry import InputError
 
 
 @pytest.fixture

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import open_recording
-from sfgs_jax.geometry import FrameError, InputError
 
 COLOUR = (120.0, 121.0, 63.0, 47.0)
 DEPTH = (58.0, 57.0, 32.5, 26.0)

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import open_recording
-from sfgs_jax.datasets.seven_scenes import _T_COLOUR_DEPTH
-from sfgs_jax.geometry import FrameError, InputError
+from sfgs_jax.datasets.layouts.seven_scenes import T_COLOUR_DEPTH
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_depth_is_the_colour_cameras(scene):
     frame = recording[0]
     depth = np.asarray(frame.depth, np.float64)
     # A plane n·x = 2 of the depth camera, along the rays of the colour camera.
-    rotation, translation = _T_COLOUR_DEPTH[:3, :3], _T_COLOUR_DEPTH[:3, 3]
+    rotation, translation = T_COLOUR_DEPTH[:3, :3], T_COLOUR_DEPTH[:3, 3]
     normal = rotation[:, 2]
     rays = np.asarray(recording.camera.unproject(recording.camera.pixels(), jnp.ones((480, 640))))
     expected = (2 + normal @ translation) / (rays @ normal)
@@ -47,7 +47,7 @@ def test_poses_are_the_colour_cameras(scene):
     truth = recording.ground_truth
     assert truth is not None
     assert len(truth) == 1
-    np.testing.assert_allclose(truth.poses[0, :3, 3] - [3, 0, 0], np.linalg.inv(_T_COLOUR_DEPTH)[:3, 3])
+    np.testing.assert_allclose(truth.poses[0, :3, 3] - [3, 0, 0], np.linalg.inv(T_COLOUR_DEPTH)[:3, 3])
     assert recording.notes == ("1 ground-truth pose is not finite and ignored.",)
 
 

@@ -5,13 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import SyntheticRecording
-from sfgs_jax.datasets.synthetic.furnished_room import ROOM_SIZE
-from sfgs_jax.datasets.synthetic.noise import add_noise
-from sfgs_jax.datasets.synthetic.path import closed_path
-from sfgs_jax.datasets.synthetic.render import render_view
-from sfgs_jax.datasets.synthetic.textures import _wave
-from sfgs_jax.geometry import Camera, InputError, se3
+from sfgs_jax.datasets.synthetic import ROOM_SIZE, add_noise, closed_path, cosine_of_periods, render_view
+from sfgs_jax.geometry import Camera, se3
 
 
 def _steps(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +73,7 @@ def test_depth_is_that_of_the_nearest_triangle(room):
             [(pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy, np.ones(len(pixels))], axis=1
         )
         world = directions @ pose[:3, :3].T
-        v0, v1, v2 = np.asarray(room._scene.triangles, np.float64).swapaxes(0, 1)
+        v0, v1, v2 = np.asarray(room.scene.triangles, np.float64).swapaxes(0, 1)
         e1, e2 = v1 - v0, v2 - v0
         p = np.cross(world[:, None], e2)
         det = np.sum(e1 * p, axis=2)
@@ -156,15 +153,17 @@ def test_surfaces_have_texture_everywhere_but_not_at_the_pixel_scale():
     assert np.median(neighbours) < 0.05
 
 
-def test_waves_are_cosines_of_whole_periods():
+def test_waves_are_cosines_of_periods():
     periods = jnp.linspace(-3, 3, 1001)
-    np.testing.assert_allclose(_wave(periods), np.cos(2 * np.pi * np.asarray(periods, np.float64)), atol=3e-4)
+    np.testing.assert_allclose(
+        cosine_of_periods(periods), np.cos(2 * np.pi * np.asarray(periods, np.float64)), atol=3e-4
+    )
 
 
 def test_noise_is_a_kinects(key):
     room = SyntheticRecording(num_frames=5, width=80, height=60)
     camera = room.camera
-    view = render_view(room._scene, camera, se3.from_matrix(room.ground_truth.poses[0]))
+    view = render_view(room.scene, camera, se3.from_matrix(room.ground_truth.poses[0]))
     samples = [add_noise(k, view, camera) for k in jax.random.split(key, 40)]
     rgb = np.stack([np.asarray(rgb) for rgb, _ in samples])
     depth = np.stack([np.asarray(depth) for _, depth in samples])
@@ -216,7 +215,7 @@ def test_twin_rooms_look_the_same_from_corresponding_places():
     images = []
     for x in (-6.0, 6.0):
         T[:2, 3] = x, -0.4
-        images.append(render_view(twins._scene, twins.camera, se3.from_matrix(T)))
+        images.append(render_view(twins.scene, twins.camera, se3.from_matrix(T)))
     np.testing.assert_allclose(images[0].depth, images[1].depth, rtol=1e-4, atol=1e-4)
     # But for the lamps, whose light hardly reaches either.
     assert np.abs(np.asarray(images[0].rgb) - np.asarray(images[1].rgb)).mean() < 0.02

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import ReaderOptions, open_recording
-from sfgs_jax.geometry import InputError
 
 
 @pytest.fixture

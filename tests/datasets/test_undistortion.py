@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sfgs_jax import Camera
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import ReaderOptions, open_recording
-from sfgs_jax.datasets.undistortion import Undistortion
-from sfgs_jax.geometry import InputError
+from sfgs_jax.sensors import Undistortion
 
 LENS = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
 

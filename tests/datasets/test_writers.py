@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import ReaderOptions, open_recording, write_recording
-from sfgs_jax.geometry import InputError
 
 # Half a step of 16-bit depth, and what 8 bits or a JPEG take from colour.
 LAYOUTS = {

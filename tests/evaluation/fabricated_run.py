@@ -6,8 +6,9 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.evaluation.map_renderer import MapRenderer
-from sfgs_jax.geometry import Camera, Frame, FrameError, Trajectory, format_tum
+from sfgs_jax.arrays import FrameError
+from sfgs_jax.evaluation import MapRenderer
+from sfgs_jax.geometry import Camera, Frame, Trajectory, format_tum
 from sfgs_jax.splatting import Gaussians, save_ply
 
 CAMERA = Camera(60.0, 60.0, 31.5, 23.5, width=64, height=48)

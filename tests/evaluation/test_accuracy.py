@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.evaluation import accuracy, area_under_curve
-from sfgs_jax.geometry import InputError
 
 
 def test_accuracy_counts_errors_below_the_threshold():
@@ -13,7 +13,8 @@ def test_accuracy_counts_errors_below_the_threshold():
 
 
 def test_area_under_the_curve_by_hand():
-    # From (0, 0) to (2, 0.5) to (6, 1), then flat: to 4 degrees 0.5 + 1.0, to 10 degrees 0.5 + 3 + 4.
+    # The curve goes from (0, 0) to (2, 0.5) to (6, 1), then flat. Its area is 0.5 + 1.0 up to 4 degrees, and
+    # 0.5 + 3 + 4 up to 10.
     np.testing.assert_allclose(area_under_curve(np.array([6.0, 2.0]), (4.0, 10.0)), [1.5 / 4, 7.5 / 10])
     np.testing.assert_allclose(area_under_curve(np.array([2.0, np.inf]), (4.0,)), [1.5 / 4])
     np.testing.assert_allclose(area_under_curve(np.array([7.0]), (5.0,)), [0.0])

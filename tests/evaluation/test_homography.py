@@ -25,7 +25,7 @@ def test_places_are_those_of_the_projective_map_and_infinite_beyond_the_horizon(
 
 def test_repeatability_by_hand():
     shift = np.array([[1.0, 0, 10], [0, 1, 0], [0, 0, 1]])
-    # Of a's keypoints the last leaves image b; of b's the last was not in image a.
+    # The last keypoint of a leaves image b; the last of b was not in image a.
     a = np.array([[20.0, 20], [50, 60], [100, 100], [315, 30]])
     b = np.array([[32.0, 20], [60, 63], [200, 200], [5, 30]])
     # Seen by both: 3 and 3. At 2 pixels one of each has a partner, at 3 two, at 1 none.

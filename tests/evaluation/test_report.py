@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sfgs_jax.evaluation import evaluate_run, write_report
-from sfgs_jax.evaluation.pictures import depth_picture, rgb_picture
+from sfgs_jax.evaluation.report import depth_picture, plot_paths, rgb_picture
+from sfgs_jax.geometry import Trajectory
 
 _VOID = {"meta", "img", "br", "path", "use", "circle", "rect"}
 
@@ -98,6 +99,17 @@ def test_the_page_of_a_run_that_was_not_evaluated(run):
     (folder / "trajectory.txt").write_text("")
     (folder / "keyframes.txt").write_text("")
     assert "No frame has a pose" in write_report(folder, recording).read_text()
+
+
+@pytest.mark.parametrize("length", [0.0, 0.005, 0.05, 5.0])
+def test_paths_of_any_length_are_plotted_without_complaint(length, caplog):
+    poses = np.tile(np.eye(4), (9, 1, 1))
+    poses[:, 0, 3] = np.linspace(0, length, 9)
+    path = Trajectory(np.arange(9.0), poses)
+    svg = plot_paths(path, path[::4], None)
+    assert svg.startswith("<svg")
+    assert "From the side" in svg
+    assert not caplog.records
 
 
 def test_pictures_are_small_and_show_missing_depth_black():

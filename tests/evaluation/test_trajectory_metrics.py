@@ -6,8 +6,9 @@ from evo.core import metrics as evo_metrics
 from evo.core import sync as evo_sync
 from evo.core.trajectory import PoseTrajectory3D
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.evaluation import align_points, ate, rpe
-from sfgs_jax.geometry import InputError, Trajectory, read_tum, rotations_from_quaternions
+from sfgs_jax.geometry import Trajectory, read_tum, rotations_from_quaternions
 
 logging.getLogger("evo").setLevel(logging.ERROR)
 

@@ -1,3 +1,5 @@
+"""Training runs that are killed, continued and started from others."""
+
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -7,7 +9,8 @@ import numpy as np
 import pytest
 
 from experiments import train_superfeats
-from experiments.train_superfeats import TrainingConfig, train
+from experiments.train_superfeats import TrainingConfig, first_network, train
+from sfgs_jax.arrays import InputError
 from sfgs_jax.superfeats.network import NetworkConfig
 
 SMALL = NetworkConfig(channels=(8, 8, 8, 8), bottlenecks=(1, 1, 1, 1), context=8)
@@ -27,6 +30,7 @@ def short_run(out: Path, sfgs_data: Path, steps: int) -> TrainingConfig:
         pairs=2,
         warm_up=1,
         save_every=2,
+        validation_batches=1,
         recording_share=0.0,
         data=sfgs_data / "data",
         network=SMALL,
@@ -37,17 +41,16 @@ def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monk
     def config(name: str) -> TrainingConfig:
         return short_run(tmp_path / name, sfgs_data, steps=4)
 
-    monkeypatch.setattr(train_superfeats, "_VALIDATION_BATCHES", 1)
     train(config("whole"))
 
-    save = train_superfeats._save
+    save = train_superfeats.save_checkpoint
 
     def save_and_stop(*arguments):
         save(*arguments)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as killed:
-        killed.setattr(train_superfeats, "_save", save_and_stop)
+        killed.setattr(train_superfeats, "save_checkpoint", save_and_stop)
         with pytest.raises(KeyboardInterrupt):
             train(config("killed"))
     train(config("killed"))
@@ -62,15 +65,14 @@ def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monk
     assert (tmp_path / "killed" / "curves.png").stat().st_size > 1000
 
 
-def test_a_run_can_go_on_with_anothers_description_branch(tmp_path, sfgs_data, monkeypatch):
-    monkeypatch.setattr(train_superfeats, "_VALIDATION_BATCHES", 1)
+def test_a_run_can_go_on_with_anothers_description_branch(tmp_path, sfgs_data):
     first = short_run(tmp_path / "first", sfgs_data, steps=2)
     train(first)
     second = replace(
         first, out=tmp_path / "second", seed=1, description_from=tmp_path / "first" / "checkpoint.eqx"
     )
     trained, begun, anew = (
-        train_superfeats._first_network(config)
+        first_network(config)
         for config in (replace(second, seed=0), second, replace(second, description_from=None))
     )
     np.testing.assert_array_equal(begun.describe.weight, trained.describe.weight)
@@ -78,6 +80,15 @@ def test_a_run_can_go_on_with_anothers_description_branch(tmp_path, sfgs_data, m
     assert np.abs(begun.levels[0].reduce.mean).max() > 0
     assert not np.array_equal(begun.describe.weight, anew.describe.weight)
     np.testing.assert_array_equal(begun.detect.weight, anew.detect.weight)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [{"steps": 200}, {"pairs": 3}, {"save_every": 0}, {"learning_rate": 0.0}, {"recording_share": 1.5}],
+)
+def test_settings_out_of_range_are_refused(setting, tmp_path):
+    with pytest.raises(InputError):
+        TrainingConfig(tmp_path, data=tmp_path, **setting)
 
 
 def _figures(run: Path) -> list[dict]:

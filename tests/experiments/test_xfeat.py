@@ -7,7 +7,7 @@ import pytest
 
 from experiments import xfeat
 from experiments.xfeat_size import resized_xfeat
-from sfgs_jax.geometry import InputError
+from sfgs_jax.arrays import InputError
 from sfgs_jax.superfeats import match
 
 

@@ -6,6 +6,7 @@ import jaxlie
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.factor_graph import (
     FactorGraph,
     PosePrior,
@@ -13,11 +14,11 @@ from sfgs_jax.factor_graph import (
     Values,
     chordal_start,
     cost,
-    odometry_start,
     solve,
+    spanning_tree_start,
 )
-from sfgs_jax.factor_graph.chordal import _nearest_rotations
-from sfgs_jax.geometry import InputError, se3
+from sfgs_jax.factor_graph.start import nearest_rotations
+from sfgs_jax.geometry import se3
 from tests.factor_graph.graphs import between, eye, perturb, random_poses
 
 
@@ -57,7 +58,7 @@ def helix(rng, turns: int, around: int, noise: float):
     steps = np.arange(n)
     ends = np.concatenate([np.stack([steps[:-k], steps[k:]], axis=1) for k in (1, around)])
     edges = RelativePose(ends, perturb(between(truth, ends), rng, noise), eye(noise**-2, noise**-2))
-    return edges, odometry_start(edges, n)
+    return edges, spanning_tree_start(edges, n)
 
 
 def test_a_solve_takes_few_steps_from_there_and_an_optimum_is_left_alone(rng):
@@ -102,7 +103,7 @@ def test_fixed_masked_and_unconnected_poses_stay(rng):
 
 def test_the_nearest_rotation_is_that_of_the_singular_vectors(float64, rng):
     matrices = rng.normal(size=(50, 3, 3)) * 10.0 ** rng.uniform(-30, 5, (50, 1, 1))
-    found, proper = jax.jit(_nearest_rotations)(jnp.asarray(matrices))
+    found, proper = jax.jit(nearest_rotations)(jnp.asarray(matrices))
     u, _, vt = np.linalg.svd(matrices)
     np.testing.assert_array_equal(proper, np.linalg.det(u @ vt) > 0)
     np.testing.assert_allclose(found[proper], (u @ vt)[proper], atol=1e-9)

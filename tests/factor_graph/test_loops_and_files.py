@@ -5,6 +5,7 @@ import jaxlie
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.factor_graph import (
     FactorGraph,
     PoseGraph,
@@ -13,15 +14,14 @@ from sfgs_jax.factor_graph import (
     Values,
     consistent_loops,
     cost,
-    odometry_start,
     plot_graph,
     read_g2o,
     solve,
+    spanning_tree_start,
     within_threshold,
     write_g2o,
 )
-from sfgs_jax.geometry import InputError, se3
-from sfgs_jax.geometry.rotations import quaternions_from_rotations
+from sfgs_jax.geometry import quaternions_from_rotations, se3
 from tests.factor_graph.graphs import compose, exp, eye, inverse, random_poses, ring
 
 NOISE = 0.01
@@ -161,7 +161,7 @@ def test_odometry_is_followed_over_gaps_and_against_the_arrow(rng):
     edges = graph.factors[1]
     mask = np.ones(len(edges.valid), bool)
     mask[3] = False  # from 3 to 4: what lies beyond is reached over the loop between 0 and 7
-    found = odometry_start(RelativePose(edges.poses, edges.T_a_b, edges.matrices, valid=mask), 9)
+    found = spanning_tree_start(RelativePose(edges.poses, edges.T_a_b, edges.matrices, valid=mask), 9)
     # The first pose of each piece is at the origin, and so is one that nothing touches.
     first = jaxlie.SE3(truth.poses.wxyz_xyz[:1])
     expected = compose(jaxlie.SE3(np.tile(inverse(first).wxyz_xyz, (8, 1))), truth.poses)

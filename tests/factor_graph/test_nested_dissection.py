@@ -1,11 +1,11 @@
-"""Separators of graphs."""
+"""Vertex separators of graphs."""
 
 from itertools import product
 
 import numpy as np
 import scipy.sparse as sparse
 
-from sfgs_jax.factor_graph.nested_dissection import _fewest_ends
+from sfgs_jax.factor_graph.problem import minimum_vertex_cover
 
 
 def test_no_fewer_vertices_cover_the_edges_of_a_cut(rng):
@@ -16,7 +16,7 @@ def test_no_fewer_vertices_cover_the_edges_of_a_cut(rng):
         links |= links.T
         first = rng.uniform(size=10) < 0.5
         across = links * (first[:, None] & ~first)
-        chosen = _fewest_ends(sparse.csr_array(links), first)
+        chosen = minimum_vertex_cover(sparse.csr_array(links), first)
         assert not across[~chosen][:, ~chosen].any()
         covers = (np.array(c, bool) for c in product([False, True], repeat=10))
         fewest = min(c.sum() for c in covers if not across[~c][:, ~c].any())

@@ -15,10 +15,9 @@ from sfgs_jax.factor_graph import (
     Reprojection,
     RgbdReprojection,
     Values,
+    retract,
 )
-from sfgs_jax.factor_graph.tangents import inverse_right_jacobian
-from sfgs_jax.factor_graph.values import retract
-from sfgs_jax.geometry import se3
+from sfgs_jax.geometry import inverse_right_jacobian, se3
 from tests.factor_graph.graphs import CAMERA, dtype, random_poses
 
 KINDS = ("prior", "relative", "pixels", "rgbd", "gicp", "custom")

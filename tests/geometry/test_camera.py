@@ -57,3 +57,18 @@ def test_intrinsics_are_differentiable(camera):
     np.testing.assert_allclose(gradient.fx, 0.05, rtol=1e-6)
     np.testing.assert_allclose(gradient.cx, 1.0)
     assert gradient.fy == 0
+
+
+def test_a_camera_prints_its_numbers():
+    camera = Camera(517.3, 516.5, 318.6, 255.25, width=640, height=480)
+    assert repr(camera) == "Camera(fx=517.3, fy=516.5, cx=318.6, cy=255.25, width=640, height=480)"
+
+
+def test_a_camera_without_numbers_prints_their_shapes(camera):
+    printed = []
+    jax.jit(lambda c: printed.append(repr(c)))(camera)
+    several = jax.tree.map(lambda x: jnp.stack([x, x]), camera)
+    for text in (printed[0], repr(several), repr(jax.tree.map(lambda _: None, camera))):
+        assert text.startswith("Camera(fx=")
+        assert "50" not in text
+        assert text.endswith("width=32, height=24)")

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from sfgs_jax.geometry import Camera, register_depth, se3
-from sfgs_jax.geometry.registration import _MARGIN
+
+MARGIN = 1.15
+"""Footprints are widened by 15 %."""
 
 
 def _camera(focal: float, width: int = 48, height: int = 36) -> Camera:
@@ -24,7 +26,7 @@ def _register_by_loop(depth, depth_camera, camera, T) -> np.ndarray:
         if z <= 0:
             continue
         pu, pv = fx * x / z + cx, fy * y / z + cy
-        half_u, half_v = 0.5 * _MARGIN * d / z * fx / dfx, 0.5 * _MARGIN * d / z * fy / dfy
+        half_u, half_v = 0.5 * MARGIN * d / z * fx / dfx, 0.5 * MARGIN * d / z * fy / dfy
         for row in range(camera.height):
             if abs(row - pv) <= half_v:
                 for column in range(camera.width):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry.robust_kernels import Kernel, kernel_rho, kernel_weight
+from sfgs_jax.geometry import Kernel, kernel_rho, kernel_weight
 
 KERNELS = get_args(Kernel)
 

@@ -5,7 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import quaternions_from_rotations, rotations_from_quaternions, se3
+from sfgs_jax.geometry import (
+    quaternions_from_rotations,
+    rotation_vectors,
+    rotations_from_quaternions,
+    se3,
+    slerp,
+)
 
 
 def random_pose(key):
@@ -77,3 +83,65 @@ def test_host_quaternions_are_exact_at_every_angle(angle, axis):
     assert back[0, 0] >= 0
     on_device = se3.quaternions(jnp.asarray(rotation, jnp.float32))
     np.testing.assert_allclose(np.abs(np.sum(np.asarray(on_device) * back)), 1.0, atol=1e-6)
+
+
+def test_the_extent_is_the_tangents_two_lengths(key):
+    tangents = jax.random.normal(key, (5, 6))
+    metres, radians = se3.extent(se3.exp(tangents))
+    np.testing.assert_allclose(metres, np.linalg.norm(tangents[:, :3], axis=1), rtol=1e-4)
+    np.testing.assert_allclose(radians, np.linalg.norm(tangents[:, 3:], axis=1), rtol=1e-4)
+
+
+def test_quaternion_products_turn_by_the_second_then_by_the_first(key):
+    a, b = (se3.exp(jax.random.normal(k, (7, 6))) for k in jax.random.split(key))
+    product = se3.quaternion_product(a.wxyz_xyz[:, :4], b.wxyz_xyz[:, :4])
+    expected = se3.rotation_matrix(a) @ se3.rotation_matrix(b)
+    np.testing.assert_allclose(rotations_from_quaternions(np.asarray(product)), expected, atol=1e-5)
+    doubled = se3.quaternion_product(a.wxyz_xyz[:, :4], 2 * b.wxyz_xyz[:, :4])
+    np.testing.assert_allclose(doubled, 2 * product, rtol=1e-6)
+
+
+def test_rotated_points_are_those_of_the_matrix(key):
+    T = se3.exp(jax.random.normal(key, (7, 6)))
+    points = jax.random.normal(key, (7, 3))
+    expected = jnp.einsum("nij,nj->ni", se3.rotation_matrix(T), points)
+    np.testing.assert_allclose(se3.rotate(T.wxyz_xyz[:, :4], points), expected, atol=1e-5)
+
+
+def test_host_and_device_agree_on_logs_and_adjoints(float64, key):
+    T = se3.exp(jax.random.normal(key, (30, 6)))
+    matrices = se3.to_matrices(T)
+    np.testing.assert_allclose(se3.logs_of(matrices), se3.log(T), atol=1e-9)
+    np.testing.assert_allclose(se3.adjoints_of(matrices), se3.adjoint(T), atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1.0, np.pi - 1e-6, np.pi])
+def test_host_logs_are_exact_at_every_angle(angle):
+    axis = np.asarray([0.36, 0.48, -0.8])
+    half = np.asarray([[np.cos(angle / 2), *(np.sin(angle / 2) * axis)]])
+    rotation = rotations_from_quaternions(half)
+    turn = rotation_vectors(rotation)
+    np.testing.assert_allclose(np.abs(turn[0] @ axis), angle, rtol=1e-14, atol=1e-15)
+    T = np.eye(4)[None].copy()
+    T[0, :3, :3], T[0, :3, 3] = rotation[0], [1.0, -2.0, 3.0]
+    # exp of the log by its series: matrix powers of the generator.
+    v, w = np.split(se3.logs_of(T)[0], 2)
+    generator = np.zeros((4, 4))
+    generator[:3, :3], generator[:3, 3] = np.cross(np.eye(3), w), v
+    series, term = np.eye(4), np.eye(4)
+    for n in range(1, 40):
+        term = term @ generator / n
+        series += term
+    np.testing.assert_allclose(series, T[0], atol=1e-9)
+
+
+def test_slerp_turns_evenly_on_the_shortest_arc(rng):
+    start = rotations_from_quaternions(rng.normal(size=(20, 4)))
+    end = rotations_from_quaternions(rng.normal(size=(20, 4)))
+    whole = rotation_vectors(np.swapaxes(start, 1, 2) @ end)
+    fraction = rng.uniform(size=(20, 1))
+    part = rotation_vectors(np.swapaxes(start, 1, 2) @ slerp(start, end, fraction))
+    np.testing.assert_allclose(part, fraction * whole, atol=1e-7)
+    np.testing.assert_allclose(slerp(start, end, np.zeros((20, 1))), start, atol=1e-12)
+    np.testing.assert_allclose(slerp(start, end, np.ones((20, 1))), end, atol=1e-12)
+    np.testing.assert_allclose(slerp(start, start, fraction), start, atol=1e-12)

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import Camera, InputError, surface
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Camera, surface
 
 CAMERA = Camera(120.0, 110.0, 47.0, 35.5, width=96, height=72)
 

@@ -4,7 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import InputError, Trajectory, format_tum, parse_tum, read_tum, se3
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Trajectory, format_tum, parse_tum, read_tum, se3
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Known motions between depth images, what the result says of itself, and inputs that can't work."""
+"""Alignment of depth images: known motions, quality measures of the result, inputs that can't work."""
 
 from dataclasses import replace
 
@@ -7,16 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import Camera, InputError, se3
-from sfgs_jax.gicp import GicpConfig, MotionPrior, OrganisedCloud, RegistrationResult, align, prepare
-from sfgs_jax.gicp.align import _align
-from sfgs_jax.gicp.correspondences import associate, samples_of, target_of
-from sfgs_jax.gicp.level import THINNING
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.gicp import (
+    GicpConfig,
+    MotionPrior,
+    OrganisedCloud,
+    RegistrationResult,
+    align,
+    level_problem,
+    prepare,
+)
 from tests.gicp.scenes import CORNER, WALL, cast, motion_error
 
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
-# Images a quarter as wide have points to spare at the finest level alone. Steps go on until they are shorter
-# than the errors that the noise makes: those are compared with what the result predicts.
+# Images a quarter the usual width have points to spare at the finest level alone. Steps go on until they are
+# shorter than the errors from noise, because these are compared with the errors that the result predicts.
 CONFIG = GicpConfig(
     noise=0.001, noise_per_square_metre=0.0, strides=(2, 1, 1, 1), min_points=(1,), tolerance=(1e-5,)
 )
@@ -49,21 +55,21 @@ def test_a_known_motion_is_recovered(corner):
     assert 3 <= int(result.iterations) <= sum(CONFIG.max_iterations)
 
 
-def test_from_a_near_start_the_finest_level_does(corner):
+def test_from_a_near_start_the_finest_level_suffices(corner, compilations):
     target, source = corner
     start = se3.compose(
         se3.from_matrix(MOTION),
         se3.exp(jnp.asarray([0.005, -0.004, 0.003, 0.004, 0.002, -0.003])),
     )
     whole = align(source, target, start, config=CONFIG)
-    compiled = _align._cache_size()
-    for coarsest in (0, 1, CONFIG.levels - 1):
-        result = align(source, target, start, coarsest=coarsest, config=CONFIG)
+    compiled, levels = len(compilations), (0, 1, CONFIG.levels - 1)
+    results = [align(source, target, start, coarsest=level, config=CONFIG) for level in levels]
+    assert len(compilations) == compiled
+    for coarsest, result in zip(levels, results, strict=True):
         off = se3.log(se3.compose(se3.inverse(whole.T_target_source), result.T_target_source))
         np.testing.assert_allclose(off, 0, atol=5e-5)
         assert result.converged
         assert (result.iterations < whole.iterations) == (coarsest < CONFIG.levels - 1)
-    assert _align._cache_size() == compiled
 
 
 def test_point_to_plane_recovers_it_too(corner):
@@ -94,15 +100,16 @@ def test_identical_clouds_stay_where_they_are(corner):
     assert finite(result)
 
 
-def test_start_and_depth_and_intrinsics_compile_once(corner):
+def test_start_and_depth_and_intrinsics_compile_once(corner, compilations):
     target, source = corner
-    align(source, target, se3.identity(), config=CONFIG)
-    before = _align._cache_size()
-    align(target, source, se3.exp(jnp.asarray([0.01, 0, 0, 0, 0, 0.02])), config=CONFIG)
+    start = se3.exp(jnp.asarray([0.01, 0, 0, 0, 0, 0.02]))
     other = Camera(140, 141.0, jnp.asarray(80.0), 60, width=160, height=120)
     cloud = prepare(cast(CAMERA), other, config=CONFIG)
+    align(source, target, se3.identity(), config=CONFIG)
+    before = len(compilations)
+    align(target, source, start, config=CONFIG)
     align(cloud, cloud, se3.from_matrix(MOTION), config=CONFIG)
-    assert _align._cache_size() == before
+    assert len(compilations) == before
 
 
 def test_the_information_matrix_is_that_of_a_dense_computation(corner):
@@ -112,19 +119,20 @@ def test_the_information_matrix_is_that_of_a_dense_computation(corner):
     result = align(source, target, se3.identity(), config=CONFIG)
 
     T = np.asarray(se3.matrix(result.T_target_source), np.float64)
-    stride = THINNING * CONFIG.strides[0]
-    level = samples_of(source.levels[0], stride, CONFIG)
-    pairs, _ = associate(level, target_of(target.levels[0], 0, CONFIG), result.T_target_source)
+    # The assessment takes every second of the rows and columns that are aligned.
+    problem = level_problem(source.levels, target.levels, None, 0, CONFIG, decimation=2)
+    stride, points = 2 * CONFIG.strides[0], problem.source
+    pairs = problem.correspondences(result.T_target_source)
     information, excess, weight = np.zeros((6, 6)), 0.0, 0.0
-    for n in np.flatnonzero(pairs.found):
-        p, q, t = (np.asarray(x, np.float64)[:, n] for x in (level.points, pairs.points, pairs.normals))
+    for n in np.flatnonzero(pairs.valid):
+        p, q, t = (np.asarray(x, np.float64)[:, n] for x in (points.points, pairs.points, pairs.normals))
         normal = T[:3, :3] @ t
-        mean = np.asarray(level.normals, np.float64)[:, n] + t
+        mean = np.asarray(points.normals, np.float64)[:, n] + t
         distance = (p - q) @ mean / np.linalg.norm(mean)
         if abs(distance) >= CONFIG.inlier_width * CONFIG.noise:
             continue
         robust = min(1.0, CONFIG.kernel_width * CONFIG.noise / max(abs(distance), 1e-9))
-        # How the distance along the target's normal of T exp(delta) p changes, column by column.
+        # Derivative of the distance of T exp(delta) p along the target's normal, column by column.
         row = np.zeros(6)
         for k in range(6):
             delta = np.zeros(6)
@@ -134,16 +142,21 @@ def test_the_information_matrix_is_that_of_a_dense_computation(corner):
         information += robust / CONFIG.noise**2 * np.outer(row, row)
         excess += robust * distance**2 / CONFIG.noise**2
         weight += robust
-    shared = ((2 * CONFIG.radius + 1) / stride) ** 2
-    expected = information / (excess / weight) / shared
+    redundancy = ((2 * CONFIG.radius + 1) / stride) ** 2
+    expected = information / (excess / weight) / redundancy
     np.testing.assert_allclose(result.information, expected, rtol=0.01, atol=1e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        np.asarray(result.covariance, np.float64) @ np.asarray(result.information, np.float64),
+        np.eye(6),
+        atol=1e-3,
+    )
 
 
-def test_the_information_matrix_predicts_the_errors_that_noise_makes():
-    """In an image so large that noise tells more than what windows do to curved surfaces and edges.
+def test_the_information_matrix_predicts_the_errors_from_noise():
+    """The image is so large that noise counts for more than the windows' bias at curved surfaces and edges.
 
-    Squared errors weighed by the information have a mean of 6 if it is right. The spread alone is as
-    predicted but for the rotation about the optical axis, whose errors are half as large (0.5 to 0.6).
+    Squared errors weighted by a right information have a mean of 6. The predicted spread fits, except for the
+    rotation about the optical axis, whose errors are half the prediction (0.5 to 0.6).
     """
     camera, config = Camera(300.0, 300.0, 159.5, 119.5, width=320, height=240), GicpConfig(tolerance=(1e-5,))
     depths, T = (cast(camera), cast(camera, MOTION)), se3.from_matrix(MOTION)
@@ -164,7 +177,7 @@ def test_the_information_matrix_predicts_the_errors_that_noise_makes():
     assert np.all(ratio < 1.4)
 
 
-def test_a_bare_wall_leaves_motion_along_it_free_and_says_so():
+def test_a_bare_wall_leaves_motion_along_it_free():
     wall = clouds(cast(CAMERA, planes=WALL, spheres=[]), cast(CAMERA, planes=WALL, spheres=[]))
     normal = np.asarray(WALL[0][0]) / np.linalg.norm(WALL[0][0])
     start = np.eye(4)
@@ -172,7 +185,8 @@ def test_a_bare_wall_leaves_motion_along_it_free_and_says_so():
     result = align(*wall, se3.from_matrix(start), config=CONFIG)
     found = np.asarray(se3.matrix(result.T_target_source), np.float64)
     assert finite(result)
-    assert abs(found[:3, 3] @ normal) < 1e-3  # what the wall fixes is found
+    assert abs(found[:3, 3] @ normal) < 1e-3  # the wall fixes the shift along its normal
+    assert np.all(np.isinf(result.covariance))
     np.testing.assert_array_less(np.asarray(result.observability[:3]), 1e-3)
     assert np.all(np.asarray(result.observability[3:]) > 0.01)
     for direction in np.asarray(result.directions[:, :3], np.float64).T:
@@ -185,8 +199,8 @@ def test_a_bare_wall_leaves_motion_along_it_free_and_says_so():
     assert values[2] < 1e-3 * values[3]
 
 
-def test_what_is_far_does_not_fix_the_turn_about_a_near_sphere():
-    """A few distances good to centimetres say less than the errors of many near points' normals."""
+def test_a_far_room_does_not_fix_the_turn_about_a_near_sphere():
+    """A few distances good to centimetres say less than the errors of many near normals."""
     config = replace(
         CONFIG, noise=GicpConfig().noise, noise_per_square_metre=GicpConfig().noise_per_square_metre
     )
@@ -203,8 +217,8 @@ def test_what_is_far_does_not_fix_the_turn_about_a_near_sphere():
     assert about_centre @ information @ about_centre < 1e-3 * (about_camera @ information @ about_camera)
 
 
-def test_a_prior_without_information_is_none():
-    """Along a bare wall rounding must not run off with what neither surface nor prior fixes."""
+def test_a_prior_without_information_has_no_effect():
+    """Along a bare wall rounding must not drift in a direction that neither surface nor prior fixes."""
     wall = clouds(cast(CAMERA, planes=WALL, spheres=[]), cast(CAMERA, planes=WALL, spheres=[]))
     start = se3.exp(jnp.asarray([0.05, 0.03, 0.02, 0.0, 0.0, 0.0]))
     nothing = MotionPrior(se3.identity(), jnp.zeros((6, 6)))
@@ -237,7 +251,7 @@ def test_no_depth_is_not_called_converged(missing):
     np.testing.assert_allclose(result.T_target_source.wxyz_xyz, start.wxyz_xyz, atol=1e-6)
 
 
-def test_overlap_is_what_the_target_has_a_surface_for_whether_that_fits_or_not():
+def test_overlap_counts_surfaces_of_the_target_that_fit_or_not():
     depth = cast(CAMERA)
     half, wrong = depth.copy(), depth.copy()
     half[:, 80:] = 0
@@ -288,8 +302,9 @@ def test_levels_have_their_sizes_cameras_and_no_points_across_edges():
 
 def test_mismatched_input_is_refused(corner):
     target, source = corner
-    with pytest.raises(InputError, match="prepare both clouds with this config"):
-        align(source, target, se3.identity(), config=replace(CONFIG, levels=2))
+    for cloud, other in ((source, target), (prepare(cast(CAMERA), CAMERA), source)):
+        with pytest.raises(InputError, match="prepare both clouds with this config"):
+            align(cloud, other, se3.identity(), config=replace(CONFIG, levels=2))
     with pytest.raises(InputError, match="its camera is"):
         prepare(jnp.ones((60, 80)), CAMERA)
     with pytest.raises(InputError, match="ask for fewer levels"):

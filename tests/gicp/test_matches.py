@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sfgs_jax.geometry import InputError, se3
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import rigid_from_matches
 from tests.gicp.scenes import motion_error
 

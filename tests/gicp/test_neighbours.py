@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from sfgs_jax.gicp.neighbourhoods import neighbourhoods
-from sfgs_jax.gicp.sorting import digit_bits, masked_median, stable_order
-from sfgs_jax.gicp.spatial_hash import _MIN_BITS, _ROWS, _row, build_hash, nearest, neighbouring_runs
-from sfgs_jax.gicp.symmetric import INDICES
-from sfgs_jax.gicp.voxels import occupied_cells, voxel_means
+from sfgs_jax.arrays import INDICES, InputError
+from sfgs_jax.gicp.clouds import (
+    build_hash,
+    nearest,
+    neighbourhoods,
+    neighbouring_runs,
+    occupied_cells,
+    voxel_means,
+)
 
 
 def surface_points(rng, n: int) -> np.ndarray:
@@ -18,22 +22,6 @@ def surface_points(rng, n: int) -> np.ndarray:
     xy = rng.uniform(-1, 1, size=(n, 2))
     z = 0.3 * np.sin(3 * xy[:, 0]) * np.cos(2 * xy[:, 1]) + rng.normal(scale=0.002, size=n)
     return np.column_stack([xy, z]).astype(np.float32)
-
-
-def test_orders_sort_by_the_last_digit_first(rng):
-    a, b = rng.integers(0, 50, size=(2, 3000))
-    order = stable_order(jnp.asarray(b, jnp.uint32), jnp.asarray(a, jnp.uint32))
-    np.testing.assert_array_equal(order, np.lexsort((b, a)))
-    assert digit_bits(2**17) == 15
-
-
-def test_the_median_is_of_the_valid_values(rng):
-    values = rng.normal(size=1001).astype(np.float32)
-    valid = rng.random(1001) < 0.5
-    valid[0] = valid.sum() % 2 == 0  # an odd number of them
-    found = masked_median(jnp.asarray(values), jnp.asarray(valid))
-    assert found == np.sort(values[valid])[(valid.sum() - 1) // 2]
-    assert masked_median(jnp.asarray(values), jnp.zeros(1001, bool)) == 0
 
 
 def test_voxel_means_are_those_of_a_dictionary(rng):
@@ -69,12 +57,24 @@ def test_points_beyond_the_capacity_or_the_range_are_counted(rng):
     assert voxel_means(far, values, valid, jnp.asarray(0.1), capacity=500).dropped == 1
 
 
-def test_rows_of_cells_never_share_buckets():
-    for bits in range(_MIN_BITS, 21):
-        rows = np.asarray(_row(jnp.asarray(_ROWS[:, 0]), jnp.asarray(_ROWS[:, 1]), 1 << bits))
-        apart = np.abs(rows[:, None] - rows[None]) + np.eye(9) * (1 << bits)
-        half = 1 << (bits - 1)
-        assert np.minimum(apart, np.abs(half - apart)).min() > 3
+@pytest.mark.parametrize("bits", range(12, 21))
+def test_no_point_around_a_query_is_met_twice(rng, bits):
+    """In tables of every size, with points in all 27 cells around each query."""
+    count = (1 << bits) // 8
+    cells = rng.integers(-1000, 1000, size=(min(count // 27, 300), 1, 3))
+    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(27, 3)
+    crowd = (cells + around).reshape(-1, 3)
+    others = rng.integers(-1000, 1000, size=(count - len(crowd), 3))
+    points = jnp.asarray(np.concatenate([crowd, others]) + 0.5, jnp.float32)
+    grid = build_hash(points, jnp.ones(count, bool), jnp.asarray(1.0))
+    assert len(grid.starts) == (1 << bits) + 1
+    runs = neighbouring_runs(grid, jnp.asarray(cells[:, 0].T + 0.5, jnp.float32))
+    number = np.asarray(runs.ends[-1])
+    places = np.asarray(runs.places(jnp.arange(number.max(), dtype=jnp.int32)[:, None]))
+    for query, candidates in enumerate(number):
+        met = np.asarray(grid.order)[places[:candidates, query]]
+        assert len(set(met)) == candidates
+        assert set(range(27 * query, 27 * query + 27)) <= set(met)
 
 
 @pytest.mark.parametrize("count", [3000, 40_000])
@@ -94,24 +94,26 @@ def test_the_nearest_point_is_that_of_a_tree(rng, count):
     np.testing.assert_allclose(reached[inside], distance[inside], rtol=1e-4, atol=1e-6)
 
 
-def test_nothing_is_near_where_nothing_is(rng):
+def test_an_empty_hash_has_no_nearest_point(rng):
     points = jnp.asarray(surface_points(rng, 100))
     grid = build_hash(points, jnp.zeros(100, bool), jnp.asarray(0.05))
     _, found = nearest(grid, points.T, slots=16)
     assert not np.any(found)
+    with pytest.raises(InputError, match="at most 256 slots"):
+        nearest(grid, points.T, slots=257)
 
 
 def test_covariances_are_those_of_the_k_nearest(rng):
     points = surface_points(rng, 4000)
     valid = rng.random(4000) < 0.8
     found = neighbourhoods(
-        jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.15), k=20, enough=6, slots=250, doublings=0
+        jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.15), k=20, min_count=6, slots=250, doublings=0
     )
     kept = points[valid].astype(np.float64)
     distance, index = cKDTree(kept).query(kept, k=20)
     exact = distance[:, -1] < 0.15
     assert exact.mean() > 0.8
-    assert found.missed == 0
+    assert found.dropped == 0
     counts = np.asarray(found.counts)[valid][exact]
     assert counts.min() >= 20
     assert counts.mean() < 20.2  # those at equal distances
@@ -126,11 +128,11 @@ def test_covariances_are_those_of_the_k_nearest(rng):
 def test_sparse_points_are_looked_for_farther_away(rng):
     points = jnp.asarray(surface_points(rng, 300))
     arguments = points, jnp.ones(300, bool), jnp.asarray(0.1)
-    near = neighbourhoods(*arguments, k=20, enough=6, slots=96, doublings=0)
-    wide = neighbourhoods(*arguments, k=20, enough=6, slots=96, doublings=2)
+    near = neighbourhoods(*arguments, k=20, min_count=6, slots=96, doublings=0)
+    wide = neighbourhoods(*arguments, k=20, min_count=6, slots=96, doublings=2)
     assert np.median(near.counts) < 20
     assert np.mean(np.asarray(wide.counts) >= 20) > 0.95
-    assert wide.missed == 0
+    assert wide.dropped == 0
 
 
 def test_a_crowd_farther_away_spoils_no_neighbourhood(rng):
@@ -140,20 +142,20 @@ def test_a_crowd_farther_away_spoils_no_neighbourhood(rng):
     crowd[:, 0] += 1.4
     points = jnp.asarray(np.concatenate([line, crowd]), jnp.float32)
     arguments = points, jnp.ones(len(points), bool), jnp.asarray(0.3)
-    near = neighbourhoods(*arguments, k=12, enough=4, slots=64, doublings=0)
-    found = neighbourhoods(*arguments, k=12, enough=4, slots=64, doublings=1)
+    near = neighbourhoods(*arguments, k=12, min_count=4, slots=64, doublings=0)
+    found = neighbourhoods(*arguments, k=12, min_count=4, slots=64, doublings=1)
     end = slice(7, 10)  # the crowd is in the next of the doubled cells
     assert np.all(np.asarray(near.counts[end]) < 12)
     np.testing.assert_array_equal(found.counts[end], near.counts[end])
     np.testing.assert_allclose(found.covariances[end], near.covariances[end])
-    assert found.missed == near.missed  # the crowd's own
-    assert neighbourhoods(*arguments, k=12, enough=12, slots=64, doublings=1).missed > found.missed
+    assert found.dropped == near.dropped  # the crowd's own
+    assert neighbourhoods(*arguments, k=12, min_count=12, slots=64, doublings=1).dropped > found.dropped
 
 
 def test_full_slots_are_reported(rng):
     points = jnp.asarray(surface_points(rng, 2000))
     found = neighbourhoods(
-        points, jnp.ones(2000, bool), jnp.asarray(0.5), k=20, enough=6, slots=32, doublings=0
+        points, jnp.ones(2000, bool), jnp.asarray(0.5), k=20, min_count=6, slots=32, doublings=0
     )
-    assert found.missed > 1000
+    assert found.dropped > 1000
     assert all(bool(np.all(np.isfinite(leaf))) for leaf in jax.tree.leaves(found))

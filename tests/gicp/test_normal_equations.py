@@ -1,13 +1,20 @@
-"""The normal equations against automatic differentiation, and the weights against their definition."""
+"""Normal equations against automatic differentiation, and residual weights against their definition."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sfgs_jax.arrays import SQUARE
 from sfgs_jax.geometry import se3
-from sfgs_jax.gicp.normal_equations import gradient, hessian, moment_sums, point_moments, pulls
-from sfgs_jax.gicp.residuals import weight_matrices
-from sfgs_jax.gicp.symmetric import SQUARE
+from sfgs_jax.gicp import (
+    Correspondences,
+    GicpConfig,
+    PointsConfig,
+    level_problem,
+    prepare_points,
+    weight_matrices,
+)
+from tests.gicp.test_point_clouds import room
 
 
 def unit_columns(rng, n: int) -> np.ndarray:
@@ -21,22 +28,29 @@ def full(weights) -> np.ndarray:
 
 
 def test_hessian_and_gradient_are_those_of_the_perturbed_residual(float64, rng):
-    p, q = (jnp.asarray(rng.normal(size=(3, 20))) for _ in range(2))
-    s, t = (jnp.asarray(unit_columns(rng, 20)) for _ in range(2))
-    weights = weight_matrices(s, t, residual="gicp", epsilon=0.01)
+    cloud = prepare_points(jnp.asarray(room(rng, 500)), config=PointsConfig(levels=1, max_points=128))
+    config = GicpConfig(kernel="none", epsilon=0.01)
+    problem = level_problem(cloud.levels, cloud.levels, None, 0, config)
+    p, s = problem.source.points, problem.source.normals
+    n = p.shape[1]
+    q, t = jnp.asarray(rng.normal(size=(3, n))), jnp.asarray(unit_columns(rng, n))
+    variance, valid = jnp.asarray(rng.uniform(0.5, 2, n)), problem.source.valid
+    pairs = Correspondences(q, t, None, variance, valid, valid)
 
     def residuals(delta):
         return se3.transform(se3.exp(delta), p.T) - q.T
 
-    jacobian = np.asarray(jax.jacfwd(residuals)(jnp.zeros(6)))
-    sums, pulled = moment_sums(point_moments(p), weights, pulls(weights, p - q))
-    w, r = full(weights), np.asarray(residuals(jnp.zeros(6)))
+    jacobian, r = np.asarray(jax.jacfwd(residuals)(jnp.zeros(6))), np.asarray(residuals(jnp.zeros(6)))
+    weights = np.where(valid, 1 / variance, 0)
+    w = full(weight_matrices(s, t, residual="gicp", epsilon=0.01)) * weights[:, None, None]
+    found = problem.equations(se3.identity(jnp.float64), pairs)
     np.testing.assert_allclose(
-        hessian(sums), np.einsum("nai,nab,nbj->ij", jacobian, w, jacobian), rtol=1e-10, atol=1e-9
+        found.hessian, np.einsum("nai,nab,nbj->ij", jacobian, w, jacobian), rtol=1e-10, atol=1e-9
     )
     np.testing.assert_allclose(
-        gradient(pulled), np.einsum("nai,nab,nb->i", jacobian, w, r), rtol=1e-10, atol=1e-9
+        found.gradient, np.einsum("nai,nab,nb->i", jacobian, w, r), rtol=1e-10, atol=1e-9
     )
+    np.testing.assert_allclose(found.weight, np.sum(weights), rtol=1e-10)
 
 
 def test_gicp_weights_are_the_inverse_of_the_summed_covariances(float64, rng):

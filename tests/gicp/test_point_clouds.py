@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import Camera, InputError, se3
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.gicp import (
     GicpConfig,
     MotionPrior,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from sfgs_jax.geometry import InputError
+from sfgs_jax.arrays import InputError
 from sfgs_jax.gicp import load_points
 
 

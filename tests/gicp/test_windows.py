@@ -1,4 +1,4 @@
-"""Which points of a depth image take part, and which points of the other image they meet."""
+"""Selection of source pixels, and their correspondences in the window of an organised target."""
 
 from dataclasses import replace
 
@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.gicp import GicpConfig, prepare
-from sfgs_jax.gicp.correspondences import associate, samples_of, target_of
-from sfgs_jax.gicp.level import stride_of
+from sfgs_jax.gicp import GicpConfig, associate, level_problem, prepare
 from tests.gicp.scenes import cast
 
 CAMERA = Camera(120.0, 120.0, 63.5, 47.5, width=128, height=96)
-CONFIG = replace(GicpConfig(), max_distance=(2.0,), min_normal_cosine=(0.0,))
+CONFIG = GicpConfig(max_distance=(2.0,), min_normal_cosine=(0.0,), strides=(4,), min_points=(1,))
 
 
 def test_a_window_finds_the_nearest_point_of_its_pixels():
-    level = prepare(cast(CAMERA), CAMERA, config=CONFIG).levels[0]
+    levels = prepare(cast(CAMERA), CAMERA, config=CONFIG).levels
+    level = levels[0]
     T = se3.exp(jnp.asarray([0.08, 0.02, 0.0, 0.0, 0.1, 0.02]))
-    source = samples_of(level, 4, CONFIG)
+    source = level_problem(levels, levels, None, 0, CONFIG).source
     moved = np.asarray(se3.transform(T, source.points.T))
     points = np.asarray(level.points).reshape(-1, 3)
     surface = np.any(np.asarray(level.normals).reshape(-1, 3) != 0, axis=1)
@@ -29,9 +28,9 @@ def test_a_window_finds_the_nearest_point_of_its_pixels():
     distance = np.linalg.norm(moved[:, None] - points, axis=2)
     results = []
     for radius in (0, 3):
-        config = replace(CONFIG, windows=(radius,))
-        pairs, index = associate(source, target_of(level, 0, config), T)
-        found = np.asarray(pairs.found)
+        problem = level_problem(levels, levels, None, 0, replace(CONFIG, windows=(radius,)))
+        pairs, index = associate(problem.source, problem.target, T)
+        found = np.asarray(pairs.valid)
         assert found.mean() > 0.4
         expected = np.where((away <= radius) & surface, distance, np.inf).min(axis=1)
         got = distance[np.arange(len(moved)), np.asarray(index)]
@@ -44,5 +43,6 @@ def test_a_window_finds_the_nearest_point_of_its_pixels():
 @pytest.mark.parametrize(("width", "height", "stride"), [(640, 480, 2), (320, 240, 2), (160, 120, 1)])
 def test_small_images_keep_all_their_pixels(width, height, stride):
     camera = Camera(width, width, width / 2, height / 2, width=width, height=height)
-    level = prepare(np.full((height, width), 2.0, np.float32), camera).levels[0]
-    assert stride_of(level, 0, GicpConfig()) == stride
+    levels = prepare(np.full((height, width), 2.0, np.float32), camera).levels
+    problem = level_problem(levels, levels, None, 0, GicpConfig())
+    assert problem.source.valid.size == levels[0].valid[::stride, ::stride].size

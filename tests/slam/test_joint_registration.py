@@ -10,9 +10,8 @@ import pytest
 
 from sfgs_jax import Camera, Frame, slam
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam import Carrier, observe, register
-from sfgs_jax.slam.matched_motion import motion_from_keypoints, num_explained
-from sfgs_jax.slam.observation import load_extractor
+from sfgs_jax.slam import PoseSource, observe, register, tracker_params
+from sfgs_jax.slam.frontend import motion_from_keypoints, num_explained
 
 CAMERA = Camera(160.0, 160.0, 79.5, 59.5, width=160, height=120)
 SHIFT = (0.06, -0.03, 0.0)
@@ -49,9 +48,13 @@ def tracking(config):
 
 
 @pytest.fixture
-def look(tracking):
-    extractor = load_extractor(tracking.features)
-    return lambda frame: observe(frame, CAMERA, extractor, tracking)
+def params(tracking):
+    return tracker_params(CAMERA, tracking)
+
+
+@pytest.fixture
+def look(params):
+    return lambda frame: observe(params, frame)
 
 
 @pytest.fixture
@@ -64,12 +67,12 @@ def corner(look):
     return (lambda depth: look(Frame(blank, depth, 0.0))), depth
 
 
-def test_along_a_textured_wall_the_keypoints_decide(rng, look, tracking):
+def test_along_a_textured_wall_the_keypoints_decide(rng, look, params):
     image = texture(rng)
     source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
-    found = register(source, target, se3.identity(), CAMERA, tracking)
-    assert int(found.carrier) == Carrier.BOTH
-    assert int(found.free) == 3
+    found = register(params, source, target, se3.identity())
+    assert int(found.source) == PoseSource.JOINT
+    assert int(found.num_free) == 3
     np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], SHIFT, atol=0.01)
     assert np.linalg.norm(se3.log(found.T_target_source)[3:]) < 0.01
     # Both say how sure they are, and only together are they sure of every direction.
@@ -80,8 +83,8 @@ def test_along_a_textured_wall_the_keypoints_decide(rng, look, tracking):
     assert both[0] > 100
 
 
-@pytest.mark.parametrize(("wrong", "carrier"), [(0.4, Carrier.BOTH), (0.7, Carrier.COASTING)])
-def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, tracking, wrong, carrier):
+@pytest.mark.parametrize(("wrong", "expected"), [(0.4, PoseSource.JOINT), (0.7, PoseSource.MOTION_MODEL)])
+def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, params, tracking, wrong, expected):
     image = texture(rng)
     source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
     points = target.keypoints.points
@@ -89,38 +92,42 @@ def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, tracking
     points = jnp.where(astray[:, None], points[rng.permutation(len(points))], points)
     target = eqx.tree_at(lambda o: o.keypoints.points, target, points)
     guess = se3.exp(jnp.asarray([0.05, -0.02, 0.0, 0.0, 0.0, 0.0]))
-    found = register(source, target, guess, CAMERA, tracking)
+    found = register(params, source, target, guess)
     agreeing = int(found.matched.num_inliers) / int(found.matched.num_matches)
-    assert (agreeing > tracking.features.min_inlier_share_alone) == (carrier == Carrier.BOTH)
+    assert (agreeing > tracking.features.min_inlier_share_alone) == (expected == PoseSource.JOINT)
     assert agreeing > tracking.features.min_inlier_share
-    assert int(found.carrier) == carrier
-    expected = SHIFT if carrier == Carrier.BOTH else (0.05, -0.02, 0.0)
+    assert int(found.source) == expected
+    expected = SHIFT if expected == PoseSource.JOINT else (0.05, -0.02, 0.0)
     np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], expected, atol=0.01)
 
 
-def test_few_keypoints_help_the_surface_but_do_not_stand_without_it(rng, look, tracking):
+def test_few_keypoints_help_the_surface_but_do_not_stand_without_it(rng, look, params, tracking):
     image = texture(rng)
     target, seen = look(wall(image, (0, 0, 0))), wall(image, SHIFT)
     blind = look(Frame(seen.rgb, np.zeros_like(seen.depth), 0.0))
-    for least, without in ((20, Carrier.KEYPOINTS), (300, Carrier.NONE)):
+    for least, without in ((20, PoseSource.KEYPOINTS), (300, PoseSource.LOST)):
         settings = replace(tracking, features=replace(tracking.features, min_inliers_alone=least))
-        found = register(look(seen), target, se3.identity(), CAMERA, settings)
+        found = register(replace(params, config=settings), look(seen), target, se3.identity())
         assert 20 < int(found.matched.num_inliers) < 300
-        assert int(found.carrier) == Carrier.BOTH
+        assert int(found.source) == PoseSource.JOINT
         np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], SHIFT, atol=0.01)
-        assert int(register(blind, target, se3.identity(), CAMERA, settings).carrier) == without
+        assert (
+            int(register(replace(params, config=settings), blind, target, se3.identity()).source) == without
+        )
 
 
-@pytest.mark.parametrize(("shown", "carrier"), [("nothing", Carrier.SURFACE), ("another", Carrier.NONE)])
-def test_what_the_reference_does_not_show_is_no_reason_to_doubt_a_surface(corner, tracking, shown, carrier):
-    """Of a corner of three planes the reference shows half; the rest is missing, or something else."""
+@pytest.mark.parametrize(
+    ("shown", "expected"), [("nothing", PoseSource.SURFACE), ("another", PoseSource.LOST)]
+)
+def test_what_the_reference_does_not_show_is_no_reason_to_doubt_a_surface(corner, params, shown, expected):
+    """The reference shows half of a corner of three planes; the rest is missing, or something else."""
     look, depth = corner
     part = depth.copy()
     part[60:] = 0 if shown == "nothing" else part[60:] - 0.15
-    found = register(look(depth), look(part), se3.identity(), CAMERA, tracking)
+    found = register(params, look(depth), look(part), se3.identity())
     assert 0.35 < float(found.inlier_fraction) < 0.5
-    assert int(found.free) == 0
-    assert int(found.carrier) == carrier
+    assert int(found.num_free) == 0
+    assert int(found.source) == expected
 
 
 def test_inliers_that_another_motion_explains_are_counted(rng, look, tracking):
@@ -137,13 +144,13 @@ def test_inliers_that_another_motion_explains_are_counted(rng, look, tracking):
     assert explained(se3.identity()) == 0  # five pixels away
 
 
-def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, tracking):
+def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, params):
     image = texture(rng)
     source, target = look(wall(image, SHIFT, bare=True)), look(wall(image, (0, 0, 0.05), bare=True))
     guess = se3.exp(jnp.asarray([0.02, 0.01, 0.0, 0.0, 0.0, 0.0]))
-    found = register(source, target, guess, CAMERA, tracking)
-    assert int(found.carrier) == Carrier.COASTING
-    assert int(found.free) == 3
+    found = register(params, source, target, guess)
+    assert int(found.source) == PoseSource.MOTION_MODEL
+    assert int(found.num_free) == 3
     np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], [0.02, 0.01, 0.05], atol=0.004)
 
 
@@ -154,15 +161,15 @@ def test_where_the_wall_turns_bare_the_motion_model_carries_so_far_and_no_farthe
     image = texture(rng)
     mapping = replace(config.mapping, max_width=64, steps_per_frame=0, steps_per_view=0)
     state = slam.init(CAMERA, replace(config, tracking=tracking, mapping=mapping))
-    carriers, found = [], []
+    sources, found = [], []
     for number in range(20):
         frame = wall(image, (speed * number, 0, 0), bare=number > 4)
         state, info = slam.step(state, frame)
-        carriers.append(info.carrier)
+        sources.append(info.source)
         found.append(float(info.T_world_cam.translation()[0]))
-    assert carriers[1:5] == [Carrier.BOTH] * 4
-    assert carriers[5 : 5 + coasted] == [Carrier.COASTING] * coasted
-    assert set(carriers[5 + coasted :]) == {Carrier.NONE}
+    assert sources[1:5] == [PoseSource.JOINT] * 4
+    assert sources[5 : 5 + coasted] == [PoseSource.MOTION_MODEL] * coasted
+    assert set(sources[5 + coasted :]) == {PoseSource.LOST}
     # At constant speed the model is right.
     np.testing.assert_allclose(found[: 5 + coasted], speed * np.arange(5 + coasted), atol=0.02)
 
@@ -173,19 +180,19 @@ def test_the_motion_model_carries_no_frame_after_a_lost_one(rng, config, trackin
     state = slam.init(CAMERA, replace(config, tracking=tracking, mapping=mapping))
     dark = Frame(np.zeros((120, 160, 3), np.float32), np.zeros((120, 160), np.float32), 0.0)
     frames = [wall(image, (0.02 * number, 0, 0), bare=number > 2) for number in range(5)]
-    carriers = []
+    sources = []
     for frame in [*frames[:4], dark, frames[4], frames[2]]:
         state, info = slam.step(state, frame)
-        carriers.append(info.carrier)
-    assert carriers[1:4] == [Carrier.BOTH, Carrier.BOTH, Carrier.COASTING]
-    assert carriers[4:] == [Carrier.NONE, Carrier.NONE, Carrier.BOTH]
+        sources.append(info.source)
+    assert sources[1:4] == [PoseSource.JOINT, PoseSource.JOINT, PoseSource.MOTION_MODEL]
+    assert sources[4:] == [PoseSource.LOST, PoseSource.LOST, PoseSource.JOINT]
 
 
 def test_noise_on_a_bare_wall_is_no_keypoint(rng, look):
     bare = wall(texture(rng), SHIFT, bare=True)
     noisy = Frame(bare.rgb + rng.normal(scale=0.01, size=bare.rgb.shape).astype(np.float32), bare.depth, 0.0)
     assert not np.any(look(noisy).keypoints.features.valid)
-    # Of a textured one it hides few.
+    # It hides few keypoints of a textured wall.
     clear = wall(texture(rng), SHIFT)
     assert np.sum(look(clear).keypoints.features.valid) > 100
 
@@ -219,29 +226,29 @@ def test_keypoints_beside_an_edge_have_no_depth_and_those_on_a_slope_have(rng, l
 
 
 @pytest.mark.parametrize(
-    ("dark", "blind", "carrier"),
+    ("dark", "blind", "expected"),
     [
-        (False, False, Carrier.BOTH),
-        (True, False, Carrier.SURFACE),
-        (False, True, Carrier.KEYPOINTS),
-        (True, True, Carrier.NONE),
+        (False, False, PoseSource.JOINT),
+        (True, False, PoseSource.SURFACE),
+        (False, True, PoseSource.KEYPOINTS),
+        (True, True, PoseSource.LOST),
     ],
 )
-def test_what_is_left_carries_the_frame(room, frames, config, dark, blind, carrier):
+def test_what_is_left_carries_the_frame(room, frames, config, dark, blind, expected):
     settings = replace(config.tracking, features=replace(config.tracking.features, min_inliers=12))
-    extractor = load_extractor(settings.features)
+    params = tracker_params(room.camera, settings)
     frame = frames[1]
     rgb = np.zeros_like(frame.rgb) if dark else frame.rgb
     depth = np.zeros_like(frame.depth) if blind else frame.depth
-    target = observe(frames[0], room.camera, extractor, settings)
-    source = observe(Frame(rgb, depth, 0.0), room.camera, extractor, settings)
-    found = register(source, target, se3.identity(), room.camera, settings)
-    if carrier == Carrier.SURFACE and int(found.free):
+    target = observe(params, frames[0])
+    source = observe(params, Frame(rgb, depth, 0.0))
+    found = register(params, source, target, se3.identity())
+    if expected == PoseSource.SURFACE and int(found.num_free):
         # So small an image shows little of the room: the surface leaves a direction to the guess.
-        carrier = Carrier.COASTING
-    assert int(found.carrier) == carrier
+        expected = PoseSource.MOTION_MODEL
+    assert int(found.source) == expected
     assert all(bool(jnp.all(jnp.isfinite(x))) for x in jax.tree.leaves(found))
-    if carrier != Carrier.NONE:
+    if expected != PoseSource.LOST:
         truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses[1]
         error = np.linalg.inv(truth) @ np.asarray(se3.matrix(found.T_target_source))
         assert np.linalg.norm(error[:3, 3]) < 0.03

@@ -8,8 +8,7 @@ import pytest
 from sfgs_jax import Frame, slam
 from sfgs_jax.datasets import SyntheticRecording
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam import FeaturesConfig
-from sfgs_jax.slam.registration import Carrier
+from sfgs_jax.slam import FeaturesConfig, PoseSource
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +67,7 @@ def test_after_long_enough_the_surface_alone_finds_nothing(long_room, settings, 
     frame = long_room[9]
     _, unlit = slam.step(state, Frame(np.zeros_like(frame.rgb), frame.depth, frame.timestamp))
     assert unlit.tracked == found
-    assert unlit.carrier == (Carrier.SURFACE if found else Carrier.NONE)
+    assert unlit.source == (PoseSource.SURFACE if found else PoseSource.LOST)
     _, lit = slam.step(state, frame)
     assert lit.tracked
 
@@ -89,7 +88,7 @@ def test_without_keypoints_the_surface_is_searched_for_by_turned_guesses(long_ro
 def test_after_a_jump_the_frame_is_found_among_all_keyframes(long_room, settings):
     state, infos = follow(slam.init(long_room.camera, settings), long_room, range(0, 30, 2))
     assert all(info.tracked for info in infos)
-    assert len(state.keyframes) > 2
+    assert len(state.graph.keyframes) > 2
     # From the far end of the swing back to its beginning: nothing of the last reference is in view.
     state, (back, following) = follow(state, long_room, [2, 4])
     assert back.tracked
@@ -109,15 +108,15 @@ def test_what_the_reference_no_longer_shows_is_found_by_way_of_the_frame_before(
     assert all(info.tracked and not info.relocalised for info in infos)
     # No frame asked to be a keyframe, so the second is one that a later frame needed.
     assert not any(info.new_keyframe for info in infos[1:])
-    assert len(state.keyframes) > 1
-    assert 0 < state.keyframes[1].frame < len(numbers) - 1
+    assert len(state.graph.keyframes) > 1
+    assert 0 < state.graph.keyframes[1].frame < len(numbers) - 1
     assert max(error(long_room, n, i) for n, i in zip(numbers, infos, strict=True)) < 0.05
 
 
 def test_a_first_frame_that_shows_nothing_starts_no_map(long_room, settings):
     state, (info,) = follow(slam.init(long_room.camera, settings), long_room, [None])
     assert not info.tracked
-    assert not state.keyframes
+    assert not state.graph.keyframes
     state, (info,) = follow(state, long_room, [0])
     assert info.tracked
     np.testing.assert_allclose(se3.matrix(info.T_world_cam), np.eye(4))

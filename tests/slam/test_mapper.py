@@ -10,27 +10,34 @@ import pytest
 
 from sfgs_jax import Camera, Frame, slam
 from sfgs_jax.datasets import play
-from sfgs_jax.slam.mapper import Mapper
-from sfgs_jax.slam.step import follow
-from sfgs_jax.slam.stopwatch import Stopwatch
+from sfgs_jax.slam import Stopwatch, follow
+from sfgs_jax.slam.mapping import ThreadedMapWorker
+from sfgs_jax.slam.run import spill_views
+from sfgs_jax.slam.state import MapState
+
+
+def worker(
+    state: slam.SlamState, spill: Callable[[MapState], MapState] = lambda mapping: mapping, **settings: int
+) -> ThreadedMapWorker:
+    return ThreadedMapWorker(state, Stopwatch(), spill, **settings)
 
 
 def test_the_mapper_learns_and_optimises_until_it_is_stopped(room, frames, config):
     state, _, view = follow(slam.init(room.camera, config), frames[0])
-    mapper = Mapper(state, Stopwatch())
+    mapper = worker(state)
     mapper.learn(state, view)
     _wait(lambda: mapper.mapping.num_steps >= 3)
     mapping = mapper.stop()
     assert mapping.num_steps >= 3
     assert [view.frame for view in mapping.views] == [0]
     assert mapping.num_gaussians > 100
-    np.testing.assert_array_equal(mapping.keyframe_poses, state.keyframe_poses)
+    np.testing.assert_array_equal(mapping.keyframe_poses, state.graph.poses)
 
 
 def test_the_mapper_works_only_while_a_frame_is_waited_for(room, frames, config):
     state, _, view = follow(slam.init(room.camera, config), frames[0])
-    mapper = Mapper(state, Stopwatch())
-    source = mapper.yielding(frames[:2])
+    mapper = worker(state)
+    source = mapper.frames(frames[:2])
     next(source)
     mapper.learn(state, view)
     time.sleep(0.5)
@@ -42,12 +49,11 @@ def test_the_mapper_works_only_while_a_frame_is_waited_for(room, frames, config)
     assert len(mapper.stop().views) == 1
 
 
-def test_keyframes_come_first_and_then_the_newest_other_views(room, frames, config, monkeypatch):
-    monkeypatch.setattr("sfgs_jax.slam.mapper._MOST_VIEWS_WAITING", 2)
+def test_keyframes_come_first_and_then_the_newest_other_views(room, frames, config):
     state, _, keyframe = follow(slam.init(room.camera, config), frames[0])
     assert keyframe is not None
-    mapper = Mapper(state, Stopwatch())
-    for _ in mapper.yielding(frames[:1]):
+    mapper = worker(state, max_views_waiting=2)
+    for _ in mapper.frames(frames[:1]):
         for number in (1, 2, 3):
             mapper.learn(state, replace(keyframe, frame=number))
         mapper.learn(state, keyframe)
@@ -57,8 +63,8 @@ def test_keyframes_come_first_and_then_the_newest_other_views(room, frames, conf
 
 def test_many_keyframes_are_not_kept_waiting(room, frames, config):
     state, _, view = follow(slam.init(room.camera, config), frames[0])
-    mapper = Mapper(state, Stopwatch())
-    for _ in mapper.yielding(frames[:1]):
+    mapper = worker(state)
+    for _ in mapper.frames(frames[:1]):
         for _ in range(4):
             mapper.learn(state, view)
         _wait(lambda: len(mapper.mapping.views) >= 2)
@@ -70,7 +76,7 @@ def test_the_mapper_keeps_images_of_old_views_on_disk(room, frames, config, tmp_
     config = replace(config, mapping=replace(config.mapping, views_in_memory=1))
     state, _, view = follow(slam.init(room.camera, config), frames[0])
     assert view is not None
-    mapper = Mapper(state, Stopwatch(), storage=tmp_path)
+    mapper = worker(state, spill=lambda mapping: spill_views(mapping, tmp_path, 1))
     mapper.learn(state, view)
     mapper.learn(state, replace(view, frame=1))
     first, second = mapper.stop().views
@@ -79,13 +85,12 @@ def test_the_mapper_keeps_images_of_old_views_on_disk(room, frames, config, tmp_
     np.testing.assert_array_equal(first.rgb, view.rgb)
 
 
-def test_what_ends_the_mapper_reaches_its_owner(room, frames, config, monkeypatch):
-    def fail(*_: Any) -> None:
+def test_what_ends_the_mapper_reaches_its_owner(room, frames, config):
+    def fail(mapping: MapState) -> MapState:
         raise RuntimeError("no room")
 
-    monkeypatch.setattr("sfgs_jax.slam.mapper.insert_view", fail)
     state, _, view = follow(slam.init(room.camera, config), frames[0])
-    mapper = Mapper(state, Stopwatch())
+    mapper = worker(state, spill=fail)
     mapper.learn(state, view)
     with pytest.raises(RuntimeError, match="no room"):
         mapper.stop()

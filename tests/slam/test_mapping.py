@@ -10,10 +10,8 @@ import pytest
 from sfgs_jax import Camera, slam
 from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.gaussian_map import grow, move
-from sfgs_jax.slam.mapping import optimise_once
-from sfgs_jax.slam.optimisation import prune
-from sfgs_jax.slam.seeding import seed
+from sfgs_jax.slam.mapping import optimise_once, prune, seed
+from sfgs_jax.slam.state import grow, move
 from sfgs_jax.splatting import RenderConfig, render
 
 
@@ -176,6 +174,6 @@ def test_gaussians_move_with_their_keyframe(seeded):
     settings = RenderConfig(pair_capacity=32_768)
     before = render(seeded.gaussians, seeded.camera, se3.identity(), config=settings)
     after = render(turned.gaussians, seeded.camera, moves[1], config=settings)
-    # Of surfaces at one depth rounding decides which is in front: alpha doesn't mind, colour a little.
+    # Rounding decides which of two surfaces at one depth is in front: alpha doesn't mind, colour a little.
     np.testing.assert_allclose(after.alpha, before.alpha, atol=2e-3)
     assert float(jnp.mean(jnp.abs(after.rgb - before.rgb))) < 5e-3

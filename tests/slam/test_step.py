@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sfgs_jax import Frame, slam
+from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.graph import travelled
-from sfgs_jax.slam.loops import believe
+from sfgs_jax.slam.keyframes import accept_consistent_loops, travelled
 
 
 def follow(room, frames, config):
@@ -22,6 +22,10 @@ def follow(room, frames, config):
     return state, infos
 
 
+def _with_settings(state, config):
+    return replace(state, config=config, params=replace(state.params, config=config.tracking))
+
+
 def test_tracks_the_room_from_the_first_camera(room, frames, config):
     state, infos = follow(room, frames, config)
     assert all(info.tracked for info in infos)
@@ -30,8 +34,8 @@ def test_tracks_the_room_from_the_first_camera(room, frames, config):
     for info, expected in zip(infos, truth, strict=True):
         np.testing.assert_allclose(se3.matrix(info.T_world_cam)[:3, 3], expected[:3, 3], atol=0.03)
     assert infos[0].new_keyframe
-    assert state.num_frames == len(frames)
-    assert [keyframe.frame for keyframe in state.keyframes] == [
+    assert state.next_frame == len(frames)
+    assert [keyframe.frame for keyframe in state.graph.keyframes] == [
         i for i, info in enumerate(infos) if info.new_keyframe
     ]
     assert [view.frame for view in state.mapping.views] == [
@@ -55,8 +59,8 @@ def test_steps_are_deterministic(room, frames, config):
         np.testing.assert_array_equal(a, b)
 
 
-def test_nothing_compiles_from_the_third_frame_on(room, frames, config, compilations, rng):
-    """Keyframes, views, the graph's window, loops' candidates and pruning among what comes later."""
+def test_nothing_compiles_after_the_warm_up(room, frames, config, compilations, rng):
+    """Keyframes, views, the window, loops' candidates, pruning and lost frames among what comes later."""
     often = replace(
         config,
         mapping=replace(config.mapping, view_interval=2, prune_interval=4),
@@ -65,25 +69,29 @@ def test_nothing_compiles_from_the_third_frame_on(room, frames, config, compilat
     )
     jax.jit(lambda x: 3 * x + 1)(jnp.ones(3))
     assert compilations, "the counter must see a program that is new"
-    state, _ = follow(room, frames[:2], often)
+    slam.warm_up(room.camera, often)
+    state = slam.init(room.camera, often)
     compilations.clear()
-    for frame in frames[2:]:
+    for frame in frames:
         state, _ = slam.step(state, frame)
     assert not compilations
-    assert len(state.keyframes) > 2
-    assert len(state.edges) > len(state.keyframes) - 1
-    assert state.num_landmarks > 20
-    # Nor does what a loop takes that drift has opened.
-    _, closed = believe(replace(state, candidates=state.edges[:2]))
+    assert len(state.graph.keyframes) > 2
+    assert len(state.graph.edges) > len(state.graph.keyframes) - 1
+    assert state.graph.num_landmarks > 20
+    candidates = replace(state.graph, candidates=state.graph.edges[:2])
+    _, closed = accept_consistent_loops(candidates, often.graph)
     assert closed
-    travelled(state.keyframes, 0, 2)
+    travelled(state.graph, 0, 2)
     assert not compilations
-    # Nor what is done for a frame that is nowhere found, with keypoints or without.
+    # Nor does a frame that is found nowhere, with keypoints or without.
     nothing = np.zeros(frames[0].depth.shape, np.float32)
     patches = np.kron(rng.random((24, 32, 1)), np.ones((4, 4, 3))).astype(np.float32)
     for rgb in (np.zeros_like(patches), patches):
         _, info = slam.step(state, Frame(rgb, nothing, 1.0))
         assert not info.tracked
+    # Nor a frame that comes back after one that was lost.
+    lost, _ = slam.step(state, Frame(np.zeros_like(patches), nothing, 1.0))
+    _, info = slam.step(lost, frames[0])
     assert not compilations
 
 
@@ -97,7 +105,7 @@ def test_views_come_at_least_at_the_interval(room, frames, config):
 def test_keyframes_are_views_however_fast_they_come(room, frames, config):
     eager = replace(config, tracking=replace(config.tracking, keyframe_translation=0.0))
     state, _ = follow(room, frames[:5], eager)
-    assert len(state.keyframes) == 5
+    assert len(state.graph.keyframes) == 5
     assert [view.frame for view in state.mapping.views] == [0, 1, 2, 3, 4]
 
 
@@ -112,7 +120,7 @@ def test_a_keyframe_is_no_view_where_one_was_just_taken(room, frames, config):
     )
     for number, views in ((5, [0, 4]), (6, [0, 4, 6])):
         state, _ = follow(room, frames[:number], regular)
-        state, info = slam.step(replace(state, config=eager), frames[number])
+        state, info = slam.step(_with_settings(state, eager), frames[number])
         assert info.new_keyframe
         assert [view.frame for view in state.mapping.views] == views
 
@@ -123,7 +131,7 @@ def test_a_frame_of_something_else_is_lost_and_the_next_is_found_again(room, fra
     colours = rng.random(frames[0].rgb.shape, np.float32)
     lost_state, info = slam.step(state, Frame(colours, noise, frames[3].timestamp))
     assert not info.tracked
-    assert info.carrier == slam.Carrier.NONE
+    assert info.source == slam.PoseSource.LOST
     assert not info.new_keyframe
     assert lost_state.num_lost == 1
     assert len(lost_state.trajectory) == 3
@@ -150,7 +158,7 @@ def test_missing_depth_in_any_disguise_is_missing(room, frames, config):
 
 def test_a_frame_of_another_size_is_refused(room, frames, config):
     state = slam.init(room.camera, config)
-    with pytest.raises(ValueError, match="one size"):
+    with pytest.raises(InputError, match="one size"):
         slam.step(state, Frame(frames[0].rgb[:50], frames[0].depth[:50], 0.0))
 
 

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from sfgs_jax.slam.stopwatch import Stopwatch
+from sfgs_jax.slam import Stopwatch
 
 
 def test_summary_of_known_times(monkeypatch):

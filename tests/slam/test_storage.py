@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from sfgs_jax import slam
-from sfgs_jax.geometry import InputError
-from sfgs_jax.slam.array_file import read_arrays, write_arrays
-from sfgs_jax.slam.storage import STATE_FILE, spill
+from sfgs_jax.arrays import InputError
+from sfgs_jax.slam.run import STATE_FILE, read_tensors, spill, spill_views, write_tensors
 
 
 @pytest.fixture
@@ -37,15 +36,16 @@ def assert_equal(a, b):
 
 def test_a_saved_state_goes_on_to_the_same_end(room, frames, busy, tmp_path):
     half = follow(slam.init(room.camera, busy), frames[:6])
-    assert len(half.keyframes) > 1
+    assert len(half.graph.keyframes) > 1
     slam.save(half, tmp_path)
     again = slam.load(tmp_path, busy)
     assert jax.tree.structure(again) == jax.tree.structure(half)
     assert_equal(again, half)
     assert_equal(follow(again, frames[6:9]), follow(half, frames[6:9]))
 
-    spilled = spill(half, tmp_path / "images")
-    on_disk = [isinstance(k.observation.keypoints.depth, np.memmap) for k in spilled.keyframes]
+    images = tmp_path / "images"
+    spilled = replace(spill(half, images), mapping=spill_views(half.mapping, images, 1))
+    on_disk = [isinstance(k.features.keypoints.depth, np.memmap) for k in spilled.graph.keyframes]
     assert on_disk == [True] * (len(on_disk) - 1) + [False]
     assert isinstance(spilled.mapping.views[0].rgb, np.memmap)
     assert_equal(follow(spilled, frames[6:9]), follow(half, frames[6:9]))
@@ -61,17 +61,56 @@ def test_a_saved_state_goes_on_to_the_same_end(room, frames, busy, tmp_path):
         slam.load(tmp_path / "nowhere", busy)
 
 
+def test_a_state_is_refused_by_name(room, frames, busy, tmp_path):
+    state, _ = slam.step(slam.init(room.camera, busy), frames[0])
+    slam.save(state, tmp_path, num_frames=1)
+    tensors, metadata = read_tensors(tmp_path / STATE_FILE)
+    assert ".tracker.num_keyframes" in tensors
+    assert metadata["version"] == "2"
+
+    def refused(changed, message, **facts):
+        write_tensors(tmp_path / STATE_FILE, changed, metadata | facts)
+        with pytest.raises(InputError, match=message):
+            slam.load(tmp_path, busy)
+
+    renamed = {name.replace("num_keyframes", "count"): value for name, value in tensors.items()}
+    refused(renamed, r"unknown array \.tracker\.count|lacks array \.tracker\.num_keyframes")
+    wrong = tensors | {".tracker.num_keyframes": np.asarray(1.0)}
+    refused(wrong, r"holds \.tracker\.num_keyframes as float64")
+    refused(tensors, "of format 1", version="1")
+    (tmp_path / STATE_FILE).unlink()
+    (tmp_path / "state.arrays").write_bytes(b"{}")
+    with pytest.raises(InputError, match="earlier version"):
+        slam.load(tmp_path, busy)
+
+
+def test_a_run_is_resumed_only_with_its_camera_and_settings(room, frames, busy, tmp_path):
+    state, _ = slam.step(slam.init(room.camera, busy), frames[0])
+    slam.save(state, tmp_path)
+    slam.load(tmp_path, busy, room.camera)
+    other = replace(room.camera, fx=room.camera.fx * 1.1)
+    with pytest.raises(InputError, match="another camera"):
+        slam.load(tmp_path, busy, other)
+    with pytest.raises(InputError, match="another camera"):
+        slam.run(iter([]), other, busy, resumed=slam.Run(state))
+    settings = replace(busy, seed=1)
+    with pytest.raises(InputError, match="other settings"):
+        slam.load(tmp_path, settings)
+    with pytest.raises(InputError, match="other settings"):
+        slam.run(iter([]), room.camera, settings, resumed=slam.Run(state))
+
+
 def test_arrays_of_every_kind_come_back(tmp_path, rng):
-    arrays = [
-        rng.random((3, 4)).astype(np.float32),
-        np.zeros((0, 7)),
-        np.asarray(5),
-        np.asarray([True, False]),
-    ]
-    write_arrays(tmp_path / "a", arrays, name="x")
-    found, facts = read_arrays(tmp_path / "a")
-    assert facts == {"name": "x"}
-    for a, b in zip(arrays, found, strict=True):
-        assert a.dtype == b.dtype
-        assert a.shape == b.shape
-        np.testing.assert_array_equal(a, b)
+    arrays = {
+        "matrix": rng.random((3, 4)).astype(np.float32),
+        "empty": np.zeros((0, 7)),
+        "number": np.asarray(5),
+        "flags": np.asarray([True, False]),
+    }
+    write_tensors(tmp_path / "a", arrays, {"name": "x"})
+    found, metadata = read_tensors(tmp_path / "a")
+    assert metadata == {"name": "x"}
+    for name, a in arrays.items():
+        assert a.dtype == found[name].dtype
+        assert a.shape == found[name].shape
+        np.testing.assert_array_equal(a, found[name])

@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.splatting import Gaussians, RenderConfig, reference, render
+from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, Gaussians, RenderConfig, reference, render
 
 WIDTH, HEIGHT, N = 37, 29, 60
 CONFIG = RenderConfig(pair_capacity=4096)
 ANTIALIASED = replace(CONFIG, antialiased=True)
-PARAMETERS = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
 
 
 def make_scene(seed: int, dtype=jnp.float32, degree: int = 1) -> Gaussians:
@@ -66,11 +65,11 @@ def program(name: str, config: RenderConfig) -> Callable:
 
 
 def variables_of(scene: Gaussians, camera: Camera):
-    """What the loss is differentiated by: parameters, intrinsics, pose, background and features."""
+    """Arguments of the loss's gradient: parameters, intrinsics, pose, background and features."""
     dtype = scene.means.dtype
     background = jnp.asarray([0.2, 0.4, 0.6], dtype)
     features = jnp.asarray(np.random.default_rng(1).normal(size=(len(scene.means), 2)), dtype)
-    parameters = {name: getattr(scene, name) for name in PARAMETERS}
+    parameters = {name: getattr(scene, name) for name in GAUSSIAN_PARAMETERS}
     return parameters, camera, jnp.zeros(6, dtype), background, features
 
 
@@ -121,4 +120,4 @@ def spoil(scene: Gaussians, lanes: np.ndarray) -> Gaussians:
     def spoiled(values):
         return jnp.where(lanes.reshape((-1,) + (1,) * (values.ndim - 1)), jnp.nan, values)
 
-    return replace(scene, **{name: spoiled(getattr(scene, name)) for name in PARAMETERS})
+    return replace(scene, **{name: spoiled(getattr(scene, name)) for name in GAUSSIAN_PARAMETERS})

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.splatting.sorting import sort_by_tile_and_depth
+from sfgs_jax.splatting import sort_by_tile_and_depth
 
 
 @pytest.mark.parametrize(

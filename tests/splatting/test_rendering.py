@@ -1,6 +1,6 @@
 """The tile renderer against the dense oracle and finite differences: values and every gradient."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import equinox as eqx
 import jax
@@ -8,8 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import Camera, InputError, se3
-from sfgs_jax.splatting import RenderConfig, pair_capacity, project, rasterize, reference, render, rgb_to_sh
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.splatting import (
+    GAUSSIAN_PARAMETERS,
+    Gaussians,
+    RenderConfig,
+    pair_capacity,
+    project,
+    rasterize,
+    reference,
+    render,
+    rgb_to_sh,
+)
 from tests.splatting.scenes import (
     ANTIALIASED,
     CONFIG,
@@ -174,9 +185,21 @@ def test_too_little_room_is_reported_and_the_stated_capacity_suffices():
     assert np.all(np.isfinite(small.rgb))
 
 
-def test_bad_input_is_refused():
+@pytest.mark.parametrize(
+    "setting", [{"near": 2.0, "far": 1.0}, {"near": 0.0}, {"tile_size": 0}, {"pair_capacity": 0}]
+)
+def test_settings_out_of_range_are_refused(setting):
     with pytest.raises(InputError, match="near < far"):
-        RenderConfig(near=2.0, far=1.0)
+        RenderConfig(**setting)
+
+
+def test_the_list_of_parameters_is_that_of_the_class():
+    scene = make_scene(0, degree=0)
+    assert [*GAUSSIAN_PARAMETERS, "valid"] == [field.name for field in fields(Gaussians)]
+    assert {name: getattr(scene, name).shape[1:] for name in GAUSSIAN_PARAMETERS} == GAUSSIAN_PARAMETERS
+
+
+def test_bad_input_is_refused():
     scene, camera, T = make_scene(0), make_camera(), make_pose()
     with pytest.raises(InputError, match="5 coefficients"):
         render(replace(scene, sh=jnp.zeros((N, 5, 3))), camera, T)

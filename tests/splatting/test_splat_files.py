@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from plyfile import PlyData, PlyElement
 
-from sfgs_jax.geometry import InputError
+from sfgs_jax.arrays import InputError
 from sfgs_jax.splatting import Gaussians, load_ply, render, rgb_to_sh, save_ply, save_splat
 from tests.splatting.scenes import CONFIG, make_camera, make_pose, make_scene
 

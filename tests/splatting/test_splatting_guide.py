@@ -1,4 +1,4 @@
-"""What the guide says of one Gaussian is so."""
+"""The guide's examples run, and their assertions hold."""
 
 import re
 from pathlib import Path

@@ -1,14 +1,15 @@
-"""The renderer under jit, vmap, grad, checkpoint and forward mode; and how often it compiles."""
+"""The renderer under jit, vmap, grad, checkpoint and forward mode; and the number of its compilations."""
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.splatting import render
+from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, Gaussians, render
 from tests.splatting.scenes import CONFIG, images_of, make_camera, make_pose, make_scene
 
 
@@ -52,6 +53,19 @@ def test_a_batch_of_cameras_is_a_vmap(view):
     for i, (_, (_, of_camera, of_pose)) in enumerate(singles):
         assert_same(jax.tree.map(lambda x, i=i: x[i], (of_cameras, of_poses)), (of_camera, of_pose))
     assert_same(of_scene.means, sum(of_scene.means for _, (of_scene, _, _) in singles))
+
+
+def test_filter_grad_takes_a_whole_map(view):
+    scene, camera, T = view
+    found = eqx.filter_jit(eqx.filter_grad(loss))(scene, camera, T)
+    assert isinstance(found, Gaussians)
+    assert found.valid is None
+    _, (expected, _, _) = program(*view)
+    for name in GAUSSIAN_PARAMETERS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    stepped = eqx.apply_updates(scene, jax.tree.map(lambda slope: -1e-3 * slope, found))
+    np.testing.assert_array_equal(stepped.valid, scene.valid)
+    assert not np.array_equal(stepped.means, scene.means)
 
 
 def test_checkpoint_changes_no_gradient(view):

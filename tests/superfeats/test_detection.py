@@ -1,3 +1,5 @@
+"""Detection, step by step, on maps whose keypoints are known."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -1,12 +1,13 @@
+"""Extraction: any image size, order and length of the results, gradients, batches."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import InputError
+from sfgs_jax.arrays import InputError
 from sfgs_jax.superfeats import extract
-from sfgs_jax.superfeats.layers import fold
-from sfgs_jax.superfeats.network import initialise_network
+from sfgs_jax.superfeats.network import fold, initialise_network
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import InputError
+from sfgs_jax.arrays import InputError
 from sfgs_jax.superfeats import Features, match
 from tests.superfeats.feature_sets import make_features, unit
 

@@ -1,10 +1,11 @@
-"""The filter on matches of which it is known how they move."""
+"""The slope filter on matches whose motion is known."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.superfeats import Matches, MotionFilterConfig, filter_by_motion, match
 from tests.superfeats.feature_sets import make_features, unit
 
@@ -104,3 +105,18 @@ def test_a_batch_gives_what_its_pairs_give(rng):
         single: Matches = filter_by_motion(a, b, match(a, b))
         np.testing.assert_array_equal(batch.valid[i], single.valid)
         np.testing.assert_array_equal(batch.index_b[i], single.index_b)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"tolerance": -1.0},
+        {"relative_tolerance": -0.1},
+        {"min_share": 1.1},
+        {"min_matches": -1},
+        {"min_similarity": -0.1},
+    ],
+)
+def test_settings_out_of_range_are_refused(setting):
+    with pytest.raises(InputError, match="must not be negative"):
+        MotionFilterConfig(**setting)

@@ -1,18 +1,23 @@
+"""The network: convolutions beside JAX's own, folding, widths, weights in files."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import InputError
-from sfgs_jax.superfeats.layers import BatchStatistics, convolve, fold
+from sfgs_jax.arrays import InputError
 from sfgs_jax.superfeats.network import (
     DESCRIPTOR_SIZE,
+    BatchStatistics,
     NetworkConfig,
+    convolve,
+    fold,
     forward,
     initialise_network,
+    load_weights,
     normalise,
+    save_weights,
 )
-from sfgs_jax.superfeats.weights import load_weights, save_weights
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +97,28 @@ def test_weights_come_back_from_their_file(network, tmp_path):
     assert path.stat().st_size <= 1_500_000
     for a, b in zip(jax.tree.leaves(fold(network)), jax.tree.leaves(load_weights(path)), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"channels": (16, 32, 64, 95)},
+        {"channels": (16, 32, 64)},
+        {"bottlenecks": (1, 1, 1, -1)},
+        {"context": 0},
+    ],
+)
+def test_widths_that_make_no_network_are_refused(setting):
+    with pytest.raises(InputError, match="context must be positive"):
+        NetworkConfig(**setting)
+
+
+def test_a_network_that_is_not_folded_is_refused_where_a_folded_one_is_needed(network):
+    images = jnp.zeros((1, 32, 32))
+    with pytest.raises(InputError, match="fold it first"):
+        forward(network, images)
+    with pytest.raises(InputError, match="no batch normalisations"):
+        forward(fold(network), images, BatchStatistics())
 
 
 def test_files_that_hold_no_such_network_are_refused(network, tmp_path):

@@ -1,4 +1,4 @@
-"""What the weights in the package can do."""
+"""Quality of the weights in the package."""
 
 from itertools import islice
 

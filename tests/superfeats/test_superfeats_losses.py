@@ -1,9 +1,11 @@
+"""Losses against direct sums and at their minima."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.superfeats.losses import (
+from sfgs_jax.superfeats.training import (
     contrastive_keypoint_loss,
     dual_softmax_loss,
     heat_loss,

@@ -1,3 +1,5 @@
+"""Training steps on a made-up batch, on one device and on four."""
+
 import os
 import subprocess
 import sys
@@ -9,10 +11,17 @@ import numpy as np
 import optax
 import pytest
 
-from sfgs_jax.superfeats.layers import fold
-from sfgs_jax.superfeats.losses import unit
-from sfgs_jax.superfeats.network import DESCRIPTOR_SIZE, NetworkConfig, initialise_network
-from sfgs_jax.superfeats.training import Batch, LossWeights, evaluate, initial_state, train_step
+from sfgs_jax.arrays import InputError
+from sfgs_jax.superfeats.network import DESCRIPTOR_SIZE, NetworkConfig, fold, initialise_network
+from sfgs_jax.superfeats.training import (
+    Batch,
+    LossWeights,
+    ViewConfig,
+    evaluate,
+    initial_state,
+    train_step,
+    unit,
+)
 
 SMALL = NetworkConfig(channels=(8, 16, 16, 16), bottlenecks=(1, 1, 1, 1), context=8)
 OPTIMISER = optax.adam(3e-3)
@@ -121,3 +130,18 @@ def test_four_devices_give_the_loss_of_one():
     shared = [float(loss) for loss in done.stdout.split()]
     _, history = run(made_up_batch(np.random.default_rng(0), 4), 3, LossWeights())
     np.testing.assert_allclose(shared, [entry["loss"] for entry in history], rtol=2e-4)
+
+
+def test_settings_out_of_range_are_refused():
+    with pytest.raises(InputError, match="must not be negative"):
+        LossWeights(heat=-1.0)
+    for scale in ((0.0, 1.0), (1.5, 0.5)):
+        with pytest.raises(InputError, match="0 < least scale"):
+            ViewConfig(scale=scale)
+    with pytest.raises(InputError, match="inside out"):
+        ViewConfig(perspective=0.5)
+
+
+def test_the_library_alone_brings_in_no_optimiser():
+    command = "import sys, sfgs_jax; sys.exit('optax' in sys.modules)"
+    subprocess.run([sys.executable, "-c", command], check=True)

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import InputError, Trajectory, format_tum, rotations_from_quaternions
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Trajectory, format_tum, rotations_from_quaternions
 from sfgs_jax.splatting import Gaussians, save_ply
 from sfgs_jax.viewer import splats_of, view_run
 

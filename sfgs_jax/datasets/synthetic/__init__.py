@@ -1,3 +1,26 @@
-"""Built-in synthetic recordings."""
+"""Built-in synthetic recordings: textured places, ray-cast with exact depth and poses.
 
-from sfgs_jax.datasets.synthetic.recording import SyntheticRecording as SyntheticRecording
+`SyntheticRecording` is the recording. The rest are its parts: scenes and their builder, places with a
+camera's way through them, the renderer, and the sensor's noise.
+"""
+
+from sfgs_jax.datasets.synthetic._furnished_room import ROOM_SIZE as ROOM_SIZE
+from sfgs_jax.datasets.synthetic._furnished_room import furnished_room as furnished_room
+from sfgs_jax.datasets.synthetic._noise import add_noise as add_noise
+from sfgs_jax.datasets.synthetic._path import along as along
+from sfgs_jax.datasets.synthetic._path import closed_path as closed_path
+from sfgs_jax.datasets.synthetic._path import looking as looking
+from sfgs_jax.datasets.synthetic._places import PLACES as PLACES
+from sfgs_jax.datasets.synthetic._places import Place as Place
+from sfgs_jax.datasets.synthetic._raycast import Hits as Hits
+from sfgs_jax.datasets.synthetic._raycast import cast as cast
+from sfgs_jax.datasets.synthetic._recording import SyntheticRecording as SyntheticRecording
+from sfgs_jax.datasets.synthetic._render import IdealView as IdealView
+from sfgs_jax.datasets.synthetic._render import render_view as render_view
+from sfgs_jax.datasets.synthetic._scene import Scene as Scene
+from sfgs_jax.datasets.synthetic._scene import SceneBuilder as SceneBuilder
+from sfgs_jax.datasets.synthetic._textures import Materials as Materials
+from sfgs_jax.datasets.synthetic._textures import Waves as Waves
+from sfgs_jax.datasets.synthetic._textures import cosine_of_periods as cosine_of_periods
+from sfgs_jax.datasets.synthetic._textures import random_waves as random_waves
+from sfgs_jax.datasets.synthetic._textures import surface_colours as surface_colours

@@ -1,0 +1,87 @@
+"""Entry point: chooses the command and turns errors into one sentence and an exit status."""
+
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from types import FrameType
+from typing import NamedTuple
+
+from sfgs_jax import __version__
+from sfgs_jax.arrays import InputError
+from sfgs_jax.cli._doctor import doctor_command
+from sfgs_jax.cli._evaluate import eval_command
+from sfgs_jax.cli._run import run_command
+from sfgs_jax.cli._view import view_command
+
+
+class Command(NamedTuple):
+    """A command of `sfgs-jax`: a function from its arguments to an exit status, and a line of help."""
+
+    run: Callable[[list[str]], int]
+    help: str
+
+
+COMMANDS = {
+    "run": Command(run_command, "track and map a recording"),
+    "eval": Command(eval_command, "compute a run's metrics and report again"),
+    "view": Command(view_command, "show a run's map in the browser"),
+    "doctor": Command(doctor_command, "list what the installation has and what it lacks"),
+}
+"""The commands by name."""
+
+EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 1, 2, 130
+
+
+def main(arguments: list[str] | None = None, *, commands: Mapping[str, Command] = COMMANDS) -> int:
+    """Run a command.
+
+    Args:
+        arguments: words of the command line; None takes the process's own.
+        commands: the commands by name.
+
+    Returns:
+        0, or 1 if the work failed, 2 if the input can't be used, 130 if it was interrupted.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_usage(commands))
+        return 0 if arguments else EXIT_INPUT
+    if arguments[0] == "--version":
+        print(__version__)
+        return 0
+    name, *rest = arguments
+    if name not in commands:
+        print(f"sfgs-jax: there is no command {name!r}; choose from {', '.join(commands)}.", file=sys.stderr)
+        return EXIT_INPUT
+    # A polite kill saves the work so far, as Ctrl-C does.
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        return commands[name].run(rest)
+    except InputError as error:
+        print(f"sfgs-jax: {error}", file=sys.stderr)
+        return EXIT_INPUT
+    except OSError as error:
+        print(f"sfgs-jax: {error.strerror or error}: {error.filename or 'a file'}", file=sys.stderr)
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        print("sfgs-jax: interrupted.", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _usage(commands: Mapping[str, Command]) -> str:
+    lines = [f"  {name:<8}{command.help}" for name, command in commands.items()]
+    return "\n".join(
+        [
+            f"sfgs-jax {__version__}: RGB-D SLAM with Gaussian-splat maps",
+            "",
+            "usage: sfgs-jax COMMAND ...",
+            "",
+            *lines,
+            "",
+            "Each command explains itself with --help. Try: sfgs-jax run synthetic",
+        ]
+    )
+
+
+def _terminate(signum: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,240 @@
+"""`sfgs-jax run`: track and map a recording, write its results, evaluate them."""
+
+import dataclasses
+import json
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Protocol, runtime_checkable
+
+import tyro
+
+from sfgs_jax.arrays import FrameError, InputError, enable_cache, write_atomically
+from sfgs_jax.cli._ablations import Ablation, ablated
+from sfgs_jax.cli._configuration import RunConfig, read_config, to_json
+from sfgs_jax.cli._evaluate import evaluate_folder
+from sfgs_jax.cli._log import logger, logging_to
+from sfgs_jax.cli._progress import reporting
+from sfgs_jax.cli._run_observer import RunObserver
+from sfgs_jax.cli._summary import summary
+from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording, play, prefetch
+from sfgs_jax.geometry import Camera, Frame
+from sfgs_jax.slam import (
+    PRESETS,
+    STORAGE,
+    Run,
+    SlamConfig,
+    TooManySkipped,
+    load_run,
+    prepare_folder,
+    run,
+    write_run,
+)
+
+_USAGE = """usage: sfgs-jax run SOURCE [--out DIR] [OPTIONS]
+
+SOURCE is the folder of a recording, or the built-in room: sfgs-jax run synthetic
+All options: sfgs-jax run --help"""
+
+_SOURCE_HELP = (
+    "Folder of the recording, or the built-in room: `synthetic` or `synthetic:frames=60,width=160`."
+)
+_DATASET_HELP = f"Layout of the recording: {', '.join(LAYOUTS)}. None recognises it."
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """Gives the frames of a recording with their numbers, as `prefetch` and `play` do."""
+
+    def __call__(self, recording: Recording, *, first: int) -> Iterator[tuple[int, Frame | FrameError]]:
+        """Frames of a recording from the one numbered `first`."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """Options of `sfgs-jax run`."""
+
+    out: Path | None = None
+    """Folder for the results. None means `runs/NAME`, with the name of the recording."""
+    dataset: Annotated[str | None, tyro.conf.arg(help=_DATASET_HELP)] = None
+    config: Path | None = None
+    """A config.json of an earlier run; its settings become the defaults."""
+    overwrite: bool = False
+    """Replace the results of an earlier run in the output folder."""
+    resume: bool = False
+    """Go on with the run in the output folder where it was stopped."""
+    realtime: bool = False
+    """Play the recording by its own clock. Frames that come while another is tracked are dropped."""
+    ablation: Ablation = "none"
+    """Part of the system to leave out or to replace, on top of all other settings."""
+    evaluate: bool = True
+    """Compute image metrics and write the report after the run."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    reader: ReaderOptions = dataclasses.field(default_factory=ReaderOptions)
+    """Units, intrinsics and choice of frames."""
+    slam: Annotated[SlamConfig, tyro.conf.arg(name="")] = dataclasses.field(default_factory=SlamConfig)
+    """Settings of the system; the defaults are the preset of the recording's layout."""
+
+
+def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
+    """Run the command.
+
+    Args:
+        arguments: words after `sfgs-jax run`.
+        frames: source of the frames of a run that is not in real time.
+
+    Returns:
+        The exit status.
+    """
+    if not arguments:
+        print(_USAGE, file=sys.stderr)
+        return 2
+    source, options, recording = _open(arguments)
+    options = dataclasses.replace(options, slam=ablated(options.slam, options.ablation))
+    config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam)
+    folder = options.out or Path("runs") / recording.name
+    if not options.resume:
+        prepare_folder(folder, overwrite=options.overwrite)
+    with logging_to(folder / "run.log"):
+        resumed = _resumed(folder, config, recording.camera) if options.resume else None
+        write_atomically(folder / "config.json", to_json(config))
+        return _run(options, config, recording, folder, resumed, play if options.realtime else frames)
+
+
+def _open(arguments: list[str]) -> tuple[str, RunOptions, Recording]:
+    """Parse the arguments twice: the recording's layout, or a given file, decides what the defaults are."""
+    source, options = _parse(arguments, RunOptions())
+    if options.config is not None:
+        saved = read_config(options.config)
+        defaults = RunOptions(dataset=saved.dataset, reader=saved.reader, slam=saved.slam)
+        source, options = _parse(arguments, defaults)
+        return source, options, open_recording(source, dataset=options.dataset, options=options.reader)
+    recording = open_recording(source, dataset=options.dataset, options=options.reader)
+    source, options = _parse(arguments, RunOptions(slam=PRESETS[recording.dataset]))
+    return source, options, recording
+
+
+def _parse(arguments: list[str], defaults: RunOptions) -> tuple[str, RunOptions]:
+    def parsed(
+        source: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SOURCE", help=_SOURCE_HELP)],
+        options: Annotated[RunOptions, tyro.conf.arg(name="")] = defaults,
+    ) -> tuple[str, RunOptions]:
+        """Track and map a recording."""
+        return source, options
+
+    return tyro.cli(parsed, prog="sfgs-jax run", args=arguments)
+
+
+def _absolute(source: str) -> str:
+    path = Path(source)
+    return str(path.resolve()) if path.exists() else source
+
+
+def _resumed(folder: Path, config: RunConfig, camera: Camera) -> Run:
+    """The run that was stopped.
+
+    Raises:
+        InputError: there is none, or it had other settings or another camera.
+    """
+    if not (folder / STORAGE).is_dir():
+        raise InputError(f"{folder} holds no run that could be resumed: it has ended, or never began.")
+    if to_json(read_config(folder / "config.json")) != to_json(config):
+        raise InputError(
+            f"The run in {folder} was started with other settings; pass --config {folder / 'config.json'}."
+        )
+    return load_run(folder / STORAGE, config.slam, camera)
+
+
+def _run(
+    options: RunOptions,
+    config: RunConfig,
+    recording: Recording,
+    folder: Path,
+    resumed: Run | None,
+    frames: FrameSource,
+) -> int:
+    """Run over the frames, write the results and evaluate them; returns the exit status."""
+    _begin_log(recording, resumed)
+    failure: TooManySkipped | None = None
+    first = resumed.num_frames if resumed else 0
+    with reporting(quiet=options.quiet) as report:
+        observer = RunObserver(
+            report,
+            recording,
+            folder,
+            final_steps=config.slam.mapping.final_steps,
+            keep_state=not options.realtime,
+        )
+        observer.begin(first)
+        try:
+            result = run(
+                frames(recording, first=first),
+                recording.camera,
+                config.slam,
+                observer=observer,
+                storage=folder / STORAGE,
+                resumed=resumed,
+                realtime=options.realtime,
+            )
+        except TooManySkipped as error:
+            failure, result = error, error.run
+    if result.interrupted and not options.realtime:
+        observer.keep(result)
+    written = _save(result, config, folder)
+    if failure is not None:
+        logger.error("%s", failure)
+    if result.interrupted:
+        _say_interrupted(result, written, can_resume=not options.realtime)
+        return 130
+    if not len(result.trajectory):
+        raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")
+    if written == folder:
+        shutil.rmtree(folder / STORAGE, ignore_errors=True)
+    if options.evaluate:
+        evaluate_folder(written, recording, quiet=options.quiet)
+    if not options.quiet:
+        print(summary(json.loads((written / "metrics.json").read_text()), written))
+    return 1 if failure is not None or written != folder else 0
+
+
+def _begin_log(recording: Recording, resumed: Run | None) -> None:
+    try:
+        enable_cache()
+    except InputError as error:
+        logger.warning("%s Every start compiles anew.", error)
+    for note in recording.notes:
+        logger.warning(note)
+    logger.info("%s: %d frames of %dx%d", recording.name, len(recording), *recording.camera.shape[::-1])
+    if resumed is not None:
+        logger.info("going on after frame %d", resumed.num_frames - 1)
+
+
+def _save(result: Run, config: RunConfig, folder: Path) -> Path:
+    """Write the results; if the folder no longer takes them, write them where there is room.
+
+    Returns:
+        The folder that holds the results.
+    """
+    if dropped := result.state.mapping.dropped_seeds:
+        logger.warning("the map was full: %d Gaussians had no room (max_capacity)", dropped)
+    try:
+        write_run(result, folder)
+        return folder
+    except OSError as error:
+        refuge = Path(tempfile.mkdtemp(prefix="sfgs-jax-"))
+        logger.error("%s could not be written (%s): the results are in %s", folder, error.strerror, refuge)
+        write_atomically(refuge / "config.json", to_json(config))
+        write_run(result, refuge)
+        return refuge
+
+
+def _say_interrupted(result: Run, written: Path, *, can_resume: bool) -> None:
+    ending = ", and --resume goes on from there." if can_resume else "."
+    print(
+        f"Interrupted after {result.num_frames} frames; the results so far are in {written}{ending}",
+        file=sys.stderr,
+    )

@@ -1,0 +1,94 @@
+"""The command's view of a run: log, progress, and the trajectory and state kept on disk."""
+
+import time
+from pathlib import Path
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.cli._log import logger
+from sfgs_jax.cli._progress import Reporter
+from sfgs_jax.datasets import Recording
+from sfgs_jax.evaluation import ate
+from sfgs_jax.slam import STORAGE, Progress, Run, save_run, write_trajectories
+
+_CHECKPOINT_FRAMES = 100
+_ERROR_FRAMES = 20
+
+_FRAMES, _STEPS = "frame", "refining the map, step"
+"""Names of the two tasks."""
+
+
+class RunObserver:
+    """Follows a run: logs what went wrong, shows progress, keeps trajectory and state on disk.
+
+    Args:
+        report: shows progress.
+        recording: the recording of the run.
+        folder: the run's folder.
+        final_steps: number of mapping steps after the last frame.
+        keep_state: also keep the state that `--resume` needs.
+    """
+
+    def __init__(
+        self, report: Reporter, recording: Recording, folder: Path, *, final_steps: int, keep_state: bool
+    ) -> None:
+        self._report, self._recording, self._folder = report, recording, folder
+        self._final_steps, self._keep_state = final_steps, keep_state
+        self._error = ""
+        self._start: tuple[int, float] | None = None
+
+    def begin(self, first: int) -> None:
+        """Say that the run begins at frame `first`, and why nothing moves for a while."""
+        details = "compiling (first run of this size, about a minute)"
+        self._report(_FRAMES, first, len(self._recording), details)
+
+    def __call__(self, progress: Progress) -> None:
+        """Take note of a frame or of a final mapping step."""
+        if progress.stage != "frames":
+            self._report(_STEPS, progress.done, self._final_steps)
+            return
+        self._log(progress)
+        if progress.done % _ERROR_FRAMES == 0 and self._recording.ground_truth is not None:
+            self._error = self._running_error(progress.run)
+        details = f"{self._rate(progress.done)}{progress.num_gaussians} Gaussians{self._error}"
+        self._report(_FRAMES, progress.done, len(self._recording), details)
+        if progress.done % _CHECKPOINT_FRAMES == 0:
+            self.keep(progress.run)
+
+    def keep(self, run: Run) -> None:
+        """Write the results so far; a failure to write does not end the run."""
+        try:
+            write_trajectories(run, self._folder)
+            if self._keep_state:
+                save_run(run, self._folder / STORAGE)
+        except OSError as error:
+            logger.warning("the results so far could not be written: %s", error)
+
+    def _log(self, progress: Progress) -> None:
+        number, info = progress.run.num_frames - 1, progress.info
+        if progress.skipped is not None:
+            logger.warning("frame %d skipped: %s", number, progress.skipped)
+        elif info is not None and not info.tracked:
+            share = 100 * info.inlier_fraction
+            logger.warning(
+                "frame %d lost: %d matches, %.0f %% of its surface fits", number, info.num_inliers, share
+            )
+        elif info is not None and info.relocalised:
+            logger.info("frame %d found again", number)
+        if info is not None and info.loop_closed:
+            logger.info("frame %d closed a loop", number)
+
+    def _rate(self, done: int) -> str:
+        """Frames per second since the first frame was done, so that compilation does not count."""
+        now = time.monotonic()
+        if self._start is None:
+            self._start = done, now
+            return ""
+        first, start = self._start
+        return f"{(done - first) / max(now - start, 1e-9):.1f} frames/s, "
+
+    def _running_error(self, run: Run) -> str:
+        truth = self._recording.ground_truth
+        try:
+            return f", ATE {100 * ate(run.trajectory, truth).rmse_m:.1f} cm" if truth is not None else ""
+        except InputError:
+            return ""

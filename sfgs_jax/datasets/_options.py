@@ -1,0 +1,34 @@
+"""Settings of the readers."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from sfgs_jax.arrays import check_counts, check_positive, check_range
+
+
+@dataclass(frozen=True)
+class ReaderOptions:
+    """Units, intrinsics and choice of frames; the defaults are right for the published data sets."""
+
+    association_limit: float = 0.02
+    """Largest difference between the time stamps of a colour image, its depth and its pose (TUM), seconds."""
+    depth_scale: float | None = None
+    """Depth image units per metre. None takes the layout's own: 5000 for TUM, 1000 for 7-Scenes."""
+    camera: Path | None = None
+    """A camera.json that replaces the layout's intrinsics; docs/datasets.md explains the file."""
+    max_depth: float | None = None
+    """Largest depth, metres. Farther depth counts as missing; None keeps everything."""
+    start: int = 0
+    """First frame, counted from 0."""
+    end: int | None = None
+    """Frame before which to stop. None reads to the end."""
+    stride: int = 1
+    """Step from one frame to the next. 2 takes every second frame."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_range(self, 0, math.inf, "association_limit")
+        given = [name for name in ("depth_scale", "max_depth") if getattr(self, name) is not None]
+        check_positive(self, *given)
+        check_counts(self, 1, "stride")

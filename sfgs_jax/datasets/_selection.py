@@ -1,0 +1,89 @@
+"""Selection of frames of a recording, with a limit on depth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets._options import ReaderOptions
+from sfgs_jax.datasets._recording import Recording
+from sfgs_jax.geometry import Camera, Frame, Trajectory
+
+
+def select(recording: Recording, options: ReaderOptions) -> "Selection":
+    """Frames `start:end:stride` of a recording, with depth cut at `max_depth`.
+
+    Args:
+        recording: the whole recording.
+        options: choice of frames, and the limit on depth.
+
+    Raises:
+        InputError: no frame is left.
+    """
+    frames = range(len(recording))[options.start : options.end : options.stride]
+    if not frames:
+        raise InputError(
+            f"No frames of {recording.name} from {options.start} to {options.end or 'its end'}; "
+            f"it has {len(recording)}."
+        )
+    return Selection(recording, frames, options.max_depth)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A `Recording` of some frames of another one.
+
+    Attributes:
+        recording: the whole recording.
+        frames: indices of the selected frames.
+        max_depth: largest depth, metres; farther depth counts as missing, and None keeps everything.
+    """
+
+    recording: Recording
+    frames: range
+    max_depth: float | None
+
+    @property
+    def name(self) -> str:
+        """Name of the whole recording."""
+        return self.recording.name
+
+    @property
+    def dataset(self) -> str:
+        """Layout of the whole recording."""
+        return self.recording.dataset
+
+    @property
+    def camera(self) -> Camera:
+        """Camera of colour and depth."""
+        return self.recording.camera
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Warnings for the log."""
+        return self.recording.notes
+
+    @property
+    def timestamps(self) -> Float[np.ndarray, " n"]:
+        """Time of each selected frame in seconds, float64."""
+        return self.recording.timestamps[self.frames]
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """Known poses of the selected frames."""
+        truth = self.recording.ground_truth
+        if truth is None:
+            return None
+        selected = np.isin(truth.timestamps, self.timestamps)
+        return truth[selected] if selected.any() else None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = self.recording[self.frames[index]]
+        depth = np.asarray(frame.depth)
+        if self.max_depth is not None:
+            depth = np.where(depth <= self.max_depth, depth, np.float32(0))
+        return Frame(frame.rgb, depth, frame.timestamp)

@@ -1,0 +1,47 @@
+"""Images in a folder, in natural order or by frame number."""
+
+import re
+from pathlib import Path
+
+
+def images_in(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """Visible files of a folder, in natural order (2 before 10).
+
+    Args:
+        folder: the folder; one that does not exist holds no images.
+        suffixes: endings of the wanted files, in lower case, such as `COLOUR_SUFFIXES`.
+    """
+    if not folder.is_dir():
+        return []
+    found = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in suffixes and not path.name.startswith(".") and path.is_file()
+    ]
+    return sorted(found, key=lambda path: natural_key(path.name))
+
+
+def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
+    """Sort key that takes runs of digits as numbers."""
+    return tuple(
+        (0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", name) if part
+    )
+
+
+def images_by_number(folder: Path, prefix: str, suffixes: tuple[str, ...]) -> dict[int, Path]:
+    """Images whose names are a prefix and a frame number.
+
+    Args:
+        folder: the folder.
+        prefix: text before the number; may be empty.
+        suffixes: endings, as in `images_in`.
+
+    Returns:
+        Paths by frame number.
+    """
+    found = {}
+    for path in images_in(folder, suffixes):
+        match = re.fullmatch(re.escape(prefix) + r"(\d+)", path.stem)
+        if match:
+            found[int(match[1])] = path
+    return found

@@ -1,0 +1,108 @@
+"""Ground-truth poses from text files; a pose that is not finite does not spoil the others."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Trajectory, parse_tum
+
+# Files keep few digits, so the singular values of a rotation are off by some 1e-3.
+_RIGID_TOLERANCE = 0.02
+
+
+def read_text(path: Path) -> str:
+    """The text of a file in UTF-8. Raises InputError if it can't be read."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"Cannot read {path}: {error}.") from error
+
+
+def read_numbers(path: Path) -> list[list[float]]:
+    """The numbers of every line that isn't empty; `#` starts a comment. Raises InputError at other words."""
+    rows = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        words = line.split("#")[0].replace(",", " ").split()
+        try:
+            row = [float(word) for word in words]
+        except ValueError:
+            raise InputError(f"{path}, line {number}: expected numbers, found {line.strip()!r}.") from None
+        if row:
+            rows.append(row)
+    return rows
+
+
+def read_matrix_rows(path: Path) -> Float[np.ndarray, "n 4 4"]:
+    """Camera-to-world poses, one a line: the 16 numbers of a 4x4 matrix row by row, or the first 12 of them.
+
+    Poses that aren't finite rigid motions are all NaN.
+
+    Raises:
+        InputError: the file can't be read, or a line has another number of numbers.
+    """
+    rows = read_numbers(path)
+    for number, row in enumerate(rows, start=1):
+        if len(row) not in (12, 16):
+            raise InputError(
+                f"{path}: pose {number} has {len(row)} numbers; expected the 16 (or 12) of a 4x4 matrix."
+            )
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    for pose, row in zip(poses, rows, strict=True):
+        pose[:3] = np.reshape(row[:12], (3, 4))
+    return _without_broken(poses)
+
+
+def read_matrix_file(path: Path) -> Float[np.ndarray, "4 4"]:
+    """The pose in a file with one 4x4 matrix; all NaN if it isn't a finite rigid motion.
+
+    Raises:
+        InputError: the file can't be read or doesn't hold 16 numbers.
+    """
+    numbers = [value for row in read_numbers(path) for value in row]
+    if len(numbers) != 16:
+        raise InputError(f"{path} has {len(numbers)} numbers; expected the 16 of a 4x4 matrix.")
+    return _without_broken(np.reshape(numbers, (1, 4, 4)))[0]
+
+
+def read_tum_poses(path: Path) -> tuple[Trajectory, int]:
+    """Poses of a file in TUM format, without those that are not finite.
+
+    Returns:
+        The finite poses in order of time, and how many were not finite.
+
+    Raises:
+        InputError: the file can't be read, or a line isn't `t tx ty tz qx qy qz qw`.
+    """
+    lines = read_text(path).splitlines()
+    broken = 0
+    for i, line in enumerate(lines):
+        if _is_broken_tum(line):
+            lines[i] = "#"  # stays as a line, so that errors name the right one
+            broken += 1
+    trajectory = parse_tum("\n".join(lines), str(path))
+    order = np.argsort(trajectory.timestamps, kind="stable")
+    return trajectory[order], broken
+
+
+def _without_broken(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
+    """Poses with orthonormal rotations (by SVD); NaN for those that aren't finite rigid motions."""
+    poses = np.asarray(poses, np.float64)
+    finite = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
+    u, s, vt = np.linalg.svd(np.where(finite[:, None, None], poses, np.eye(4))[:, :3, :3])
+    rigid = finite & np.all(np.abs(s - 1) < _RIGID_TOLERANCE, axis=1) & (np.linalg.det(u @ vt) > 0)
+    result = np.full_like(poses, np.nan)
+    result[rigid] = poses[rigid]
+    result[rigid, :3, :3] = (u @ vt)[rigid]
+    return result
+
+
+def _is_broken_tum(line: str) -> bool:
+    words = line.split("#")[0].replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return False
+    return len(numbers) == 8 and (not all(map(math.isfinite, numbers)) or not any(numbers[4:]))

@@ -1,0 +1,12 @@
+"""Readers of recordings on disk, one module a layout.
+
+Each module has two functions. The first, `matches(source)`, tells whether a folder has the layout. The
+second, `read(source, options)`, opens it as a `FileRecording`, with the errors of `open_recording`.
+"""
+
+from sfgs_jax.datasets.layouts import folder as folder
+from sfgs_jax.datasets.layouts import icl_nuim as icl_nuim
+from sfgs_jax.datasets.layouts import replica as replica
+from sfgs_jax.datasets.layouts import scannet as scannet
+from sfgs_jax.datasets.layouts import seven_scenes as seven_scenes
+from sfgs_jax.datasets.layouts import tum as tum

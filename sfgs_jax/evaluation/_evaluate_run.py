@@ -1,0 +1,154 @@
+"""Every metric of a finished run, from the files in its folder."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.datasets import Recording
+from sfgs_jax.evaluation._run_folder import posed_frames, read_json
+from sfgs_jax.evaluation.images import (
+    LPIPS_PROTOCOL,
+    PROTOCOLS,
+    SPLATAM_EVERY,
+    ImageFigures,
+    LpipsWeights,
+    evaluate_images,
+    load_lpips,
+)
+from sfgs_jax.evaluation.trajectory import ate, rpe
+from sfgs_jax.geometry import read_tum
+from sfgs_jax.splatting import load_ply
+
+MAX_PIXELS = 200 * 640 * 480
+"""Most pixels that image metrics score by default: 200 images of 640 x 480, about a minute's work."""
+
+_OWN_KEYS = ("ate", "rpe", "psnr", "ssim", "lpips_squeeze", "evaluated", "unavailable")
+
+
+def evaluate_run(
+    run_dir: Path,
+    recording: Recording,
+    *,
+    every: int | None = None,
+    max_pixels: int = MAX_PIXELS,
+    max_lpips_frames: int = 40,
+    progress: Callable[..., object] | None = None,
+) -> dict[str, Any]:
+    """Compare a run with its recording and add the figures to its `metrics.json`.
+
+    The trajectory is compared with the ground truth. The map is rendered at every estimated pose and compared
+    with the recorded images by the four protocols. Metrics that can't be given are listed under `unavailable`
+    with the reason. A second evaluation replaces the figures of the first.
+
+    Args:
+        run_dir: folder with `trajectory.txt`, `keyframes.txt`, `map.ply` and `metrics.json`.
+        recording: the recording of the run.
+        every: n scores the last of every n frames. None takes 1 for short recordings, else the least multiple
+            of five (SplaTAM's choice of frames) that keeps within `max_pixels`; see `evaluated.every`.
+        max_pixels: most pixels to score if `every` is None, over all frames.
+        max_lpips_frames: most frames for LPIPS, evenly spaced over SplaTAM's; `evaluated.lpips_frames` holds
+            their number.
+        progress: called as `progress(done)` with the number of frames of the recording gone through.
+
+    Returns:
+        All of `metrics.json`: `ate`, `rpe`, `psnr.PROTOCOL`, `ssim.PROTOCOL`, `lpips_squeeze.PROTOCOL`,
+        `evaluated` and `unavailable`, besides what the run wrote there itself.
+
+    Raises:
+        InputError: a file of the run is missing, damaged, or of another recording; or `every` is below 1.
+    """
+    every = _affordable(recording, max_pixels) if every is None else every
+    if every < 1:
+        raise InputError(f"Image metrics score one frame in `every`, which is at least 1, not {every}.")
+    path = run_dir / "metrics.json"
+    kept = {key: value for key, value in read_json(path).items() if key not in _OWN_KEYS}
+    unavailable: dict[str, str] = {}
+    figures = _trajectory_figures(run_dir, recording, unavailable)
+    posed = posed_frames(run_dir, recording)
+    images = evaluate_images(
+        load_ply(run_dir / "map.ply"),
+        recording,
+        posed,
+        lpips_weights=_lpips_weights(unavailable),
+        every=every,
+        max_lpips_frames=max_lpips_frames,
+        progress=progress,
+    )
+    figures |= _image_figures(images, unavailable)
+    figures["evaluated"] = {
+        "every": every,
+        "frames": {name: len(images.psnr[name]) for name in PROTOCOLS},
+        "lpips_frames": len(images.lpips),
+        "without_pose": len(recording) - len(posed.indices),
+        "unreadable": images.unreadable,
+    }
+    metrics = kept | figures | {"unavailable": unavailable}
+    write_atomically(path, json.dumps(metrics, indent=2) + "\n")
+    return metrics
+
+
+def _affordable(recording: Recording, max_pixels: int) -> int:
+    """The default of `every`; see `evaluate_run`."""
+    height, width = recording.camera.shape
+    pixels = len(recording) * height * width
+    return 1 if pixels <= max_pixels else SPLATAM_EVERY * math.ceil(pixels / (max_pixels * SPLATAM_EVERY))
+
+
+def _trajectory_figures(run_dir: Path, recording: Recording, unavailable: dict[str, str]) -> dict[str, Any]:
+    """ATE and RPE; without them the reason is added to `unavailable`."""
+    truth = recording.ground_truth
+    try:
+        if truth is None:
+            raise InputError("the recording has no ground truth")
+        estimate = read_tum(run_dir / "trajectory.txt")
+        absolute, relative = ate(estimate, truth), rpe(estimate, truth)
+    except InputError as error:
+        unavailable |= dict.fromkeys(("ate", "rpe"), str(error))
+        return {}
+    return {
+        "ate": {
+            "rmse_m": absolute.rmse_m,
+            "mean_m": absolute.mean_m,
+            "median_m": absolute.median_m,
+            "max_m": absolute.max_m,
+            "num_pairs": absolute.num_pairs,
+        },
+        "rpe": {
+            "trans_m": relative.trans_m,
+            "rot_deg": relative.rot_deg,
+            "delta_frames": relative.delta,
+            "num_pairs": relative.num_pairs,
+        },
+    }
+
+
+def _lpips_weights(unavailable: dict[str, str]) -> LpipsWeights | None:
+    """Weights of LPIPS; without them None, and the reason is added to `unavailable`."""
+    try:
+        return load_lpips()
+    except InputError as error:
+        unavailable["lpips_squeeze"] = str(error)
+        return None
+
+
+def _image_figures(images: ImageFigures, unavailable: dict[str, str]) -> dict[str, Any]:
+    """Means over the scored frames; protocols without a frame are added to `unavailable`."""
+    if not images.psnr["all"]:
+        unavailable |= dict.fromkeys(("psnr", "ssim", "lpips_squeeze"), "no frame with a pose could be read")
+        return {}
+    figures: dict[str, Any] = {}
+    for metric, values in (("psnr", images.psnr), ("ssim", images.ssim)):
+        figures[metric] = {name: float(np.mean(values[name])) for name in PROTOCOLS if values[name]}
+        for name in PROTOCOLS:
+            if not values[name]:
+                unavailable[f"{metric}.{name}"] = "none of the evaluated frames belongs to it"
+    if images.lpips:
+        figures["lpips_squeeze"] = {LPIPS_PROTOCOL: float(np.mean(images.lpips))}
+    elif "lpips_squeeze" not in unavailable:
+        unavailable["lpips_squeeze"] = "none of the evaluated frames belongs to its protocol"
+    return figures

@@ -1,0 +1,74 @@
+"""The folder that a run wrote, read back."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets import Recording, associate
+from sfgs_jax.geometry import Trajectory, read_tum
+
+# Trajectory files hold time stamps to the microsecond.
+_SAME_TIME_S = 1e-5
+
+
+@dataclass(frozen=True)
+class PosedFrames:
+    """The frames of a recording that have a pose in a run.
+
+    Attributes:
+        indices: positions in the recording, ascending.
+        poses: `T_world_cam` of these frames, float64.
+        keyframes: positions in the recording of the frames that were used for mapping.
+    """
+
+    indices: Int[np.ndarray, " k"]
+    poses: Float[np.ndarray, "k 4 4"]
+    keyframes: Int[np.ndarray, " m"]
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object from a file; an empty one if there is no file. Raises InputError for anything else."""
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read {path}: {error}.") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path} holds no JSON object: it is not a file that a run wrote.")
+    return content
+
+
+def posed_frames(run_dir: Path, recording: Recording) -> PosedFrames:
+    """Match the run's trajectory and keyframes with the recording's frames, by time stamp.
+
+    Args:
+        run_dir: folder that a run wrote.
+        recording: the recording of the run.
+
+    Raises:
+        InputError: a file is missing or damaged, or none of its time stamps is one of the recording's.
+    """
+    trajectory = read_tum(run_dir / "trajectory.txt")
+    indices, order = _frames_at(trajectory, recording)
+    if len(trajectory) and not len(indices):
+        raise InputError(
+            f"No time stamp of {run_dir / 'trajectory.txt'} belongs to a frame of {recording.name}: "
+            "the run was made on another recording."
+        )
+    path = run_dir / "keyframes.txt"
+    keyframes = _frames_at(read_tum(path), recording)[0] if path.exists() else np.zeros(0, np.int64)
+    return PosedFrames(indices=indices, poses=trajectory.poses[order], keyframes=keyframes)
+
+
+def _frames_at(
+    trajectory: Trajectory, recording: Recording
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+    """Indices of the frames in the recording, ascending, and of their poses in the trajectory."""
+    pairs = associate(recording.timestamps, trajectory.timestamps, _SAME_TIME_S)
+    return pairs[:, 0], pairs[:, 1]

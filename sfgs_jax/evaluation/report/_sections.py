@@ -1,0 +1,82 @@
+"""The trajectory and the rendered views of a run, as sections of the page."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets import Recording
+from sfgs_jax.evaluation.report._compared_views import ComparedView
+from sfgs_jax.evaluation.report._html import section
+from sfgs_jax.evaluation.report._pictures import depth_picture, depth_scale, rgb_picture
+from sfgs_jax.evaluation.report._plots import plot_errors, plot_paths
+from sfgs_jax.evaluation.trajectory import ate
+from sfgs_jax.geometry import Trajectory, read_tum
+
+
+def trajectory_section(run_dir: Path, recording: Recording) -> str:
+    """Plots of the path, and of its error over time if there is ground truth.
+
+    Args:
+        run_dir: folder that a run wrote.
+        recording: the recording of the run.
+    """
+    estimate, keyframes = read_tum(run_dir / "trajectory.txt"), _keyframes(run_dir)
+    if not len(estimate):
+        return section("Trajectory", "<p>No frame has a pose.</p>")
+    truth, errors = None, ""
+    if recording.ground_truth is not None:
+        try:
+            absolute = ate(estimate, recording.ground_truth)
+            truth = _in_world_of(absolute.T_reference_estimate, recording.ground_truth, estimate)
+            errors = plot_errors(absolute)
+        except InputError:
+            pass  # the section of missing figures gives the reason
+    return section("Trajectory", plot_paths(estimate, keyframes, truth) + errors)
+
+
+def _keyframes(run_dir: Path) -> Trajectory:
+    path = run_dir / "keyframes.txt"
+    return read_tum(path) if path.exists() else Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+
+
+def _in_world_of(
+    T_truth_estimate: Float[np.ndarray, "4 4"], truth: Trajectory, estimate: Trajectory
+) -> Trajectory:
+    """The ground truth in the estimate's world frame, over the estimate's time only."""
+    times = estimate.timestamps
+    during = (truth.timestamps >= times.min() - 0.1) & (truth.timestamps <= times.max() + 0.1)
+    return Trajectory(truth.timestamps[during], np.linalg.inv(T_truth_estimate) @ truth.poses[during])
+
+
+def views_section(views: list[ComparedView]) -> str:
+    """Recorded and rendered pictures, a row a view; empty without views."""
+    if not views:
+        return ""
+    known = np.concatenate([view.depth[view.depth > 0] for view in views])
+    near, far = np.percentile(known, [1, 99]).tolist() if len(known) else (0.0, 1.0)
+    rows = []
+    for view in views:
+        pictures = (
+            ("recorded", rgb_picture(view.rgb)),
+            ("rendered", rgb_picture(view.rendered_rgb)),
+            ("recorded depth", depth_picture(view.depth, near, far)),
+            ("rendered depth", depth_picture(view.rendered_depth, near, far)),
+        )
+        figures = "".join(
+            f"<figure><img src='{data}' alt='{name}, frame {view.index}'>"
+            f"<figcaption>{name}</figcaption></figure>"
+            for name, data in pictures
+        )
+        tag = "<span class='tag'>keyframe</span>" if view.keyframe else ""
+        rows.append(
+            f"<div class='view'><div class='caption'><b>Frame {view.index}</b>"
+            f"<span class='soft'>{view.time_s:.1f} s</span><span>PSNR {view.psnr:.2f} dB</span>{tag}</div>"
+            f"<div class='images'>{figures}</div></div>"
+        )
+    scale = (
+        f"<div class='scale'>{near:.1f} m <img src='{depth_scale()}' alt='depth scale'> {far:.1f} m"
+        "<span>black: no depth</span></div>"
+    )
+    return section("Rendered beside recorded", "".join(rows) + scale)

@@ -1,0 +1,53 @@
+"""Capacities: sizes that arrays are padded to, so that a growing graph runs the same compiled program."""
+
+from dataclasses import dataclass
+
+from sfgs_jax.arrays import bucket, check_counts, doubled, rounded_up
+
+CLUSTER_LANDMARKS = 32
+"""Landmarks in a cluster: 96 rows, enough for products to run at full speed."""
+
+BatchSize = tuple[int, int]
+"""Own and boundary poses that each front of a batch has room for."""
+
+
+@dataclass(frozen=True)
+class Capacities:
+    """Sizes of the arrays of a graph's structure; pass a graph's on to the next that grows from it."""
+
+    blocks: int = 0
+    """Blocks off the diagonal; 0 makes room for those of the graph and an eighth more."""
+
+    clusters: int = 0
+    """Clusters of landmarks; 0 makes room for those of the graph and an eighth more."""
+
+    cluster_poses: int = 0
+    """Poses of a cluster; 0 makes room for those of the graph and an eighth more."""
+
+    batches: tuple[BatchSize, ...] = ()
+    """Sizes of the batches of fronts of the sparse solver; empty for those of the graph."""
+
+    def __post_init__(self) -> None:
+        check_counts(self, 0, "blocks", "clusters", "cluster_poses")
+
+    @classmethod
+    def for_window(cls, *, landmarks: int, poses: int) -> "Capacities":
+        """Capacities of a window of fixed size, in which any pose may see any landmark.
+
+        Args:
+            landmarks: most landmarks of a window.
+            poses: most poses of a window.
+        """
+        return cls(
+            clusters=rounded_up(landmarks, CLUSTER_LANDMARKS) // CLUSTER_LANDMARKS, cluster_poses=poses
+        )
+
+
+def capacity_for(count: int, given: int) -> int:
+    """The given capacity, doubled until it holds `count`; without one, `count` and up to an eighth more.
+
+    Args:
+        count: rows to hold.
+        given: capacity to keep to, or 0.
+    """
+    return doubled(given, count) if given else bucket(count, steps=8)

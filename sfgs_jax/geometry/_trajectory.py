@@ -1,0 +1,92 @@
+"""Time-stamped camera poses on the host, and the TUM text format."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry._rotations import quaternions_from_rotations, rotations_from_quaternions
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Camera poses with their times, float64 on the host.
+
+    Attributes:
+        timestamps: (N,) seconds, float64.
+        poses: (N, 4, 4) `T_world_cam`, float64.
+    """
+
+    timestamps: np.ndarray
+    poses: np.ndarray
+
+    def __post_init__(self) -> None:
+        n = len(self.timestamps)
+        if self.timestamps.shape != (n,) or self.poses.shape != (n, 4, 4):
+            raise ValueError(
+                f"timestamps {self.timestamps.shape} and poses {self.poses.shape} must be (N,) and (N, 4, 4)."
+            )
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(N, 3) camera centres in world coordinates, metres."""
+        return self.poses[:, :3, 3]
+
+    def __getitem__(self, index: slice | np.ndarray) -> "Trajectory":
+        return Trajectory(self.timestamps[index], self.poses[index])
+
+
+def parse_tum(text: str, name: str) -> Trajectory:
+    """Read TUM lines `t tx ty tz qx qy qz qw`; `#` starts a comment.
+
+    Args:
+        text: the file's text.
+        name: what to call it in an error.
+
+    Raises:
+        InputError: a line without eight finite numbers, or a zero quaternion.
+    """
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        line = line.split("#")[0].replace(",", " ").strip()
+        if not line:
+            continue
+        try:
+            row = [float(word) for word in line.split()]
+        except ValueError:
+            row = []
+        if len(row) != 8:
+            raise InputError(f"{name}, line {number}: expected 't tx ty tz qx qy qz qw', found {line!r}.")
+        if not np.all(np.isfinite(row)) or not np.any(row[4:]):
+            raise InputError(f"{name}, line {number}: the pose is not finite or has no rotation: {line!r}.")
+        rows.append(row)
+    table = np.asarray(rows, np.float64).reshape(-1, 8)
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    if len(table):
+        poses[:, :3, :3] = rotations_from_quaternions(table[:, [7, 4, 5, 6]])
+    poses[:, :3, 3] = table[:, 1:4]
+    return Trajectory(table[:, 0], poses)
+
+
+def read_tum(path: Path | str) -> Trajectory:
+    """Read a trajectory in TUM format. Raises InputError as `parse_tum` does, or if there is no such file."""
+    path = Path(path)
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"Cannot read the trajectory {path}: {error}.") from error
+    return parse_tum(text, str(path))
+
+
+def format_tum(trajectory: Trajectory) -> str:
+    """The trajectory as TUM text: time stamps to the microsecond, poses to nine digits."""
+    xyzw = quaternions_from_rotations(trajectory.poses[:, :3, :3])[:, [1, 2, 3, 0]]
+    lines = [
+        f"{t:.6f} " + " ".join(f"{value:.9f}" for value in (*position, *quaternion))
+        for t, position, quaternion in zip(trajectory.timestamps, trajectory.positions, xyzw, strict=True)
+    ]
+    return "".join(line + "\n" for line in ["# timestamp tx ty tz qx qy qz qw", *lines])

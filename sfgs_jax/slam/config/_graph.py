@@ -1,0 +1,79 @@
+"""Settings of the keyframe graph: its registrations, its window of landmarks, and its loops."""
+
+import math
+from dataclasses import dataclass
+
+from sfgs_jax.arrays import check_counts, check_positive, check_range
+
+
+@dataclass(frozen=True)
+class GraphConfig:
+    """Graph of keyframes: registrations between them, local bundle adjustment, and loop closure."""
+
+    enabled: bool = True
+    """Whether there is a graph. Without it keyframes stay where they were tracked, and no loop closes."""
+    num_neighbours: int = 8
+    """Earlier keyframes with the same view that a new one is registered to, the nearest first."""
+    neighbour_distance: float = 1.0
+    """Largest distance of a neighbour, metres."""
+    neighbour_angle: float = 0.6
+    """Largest angle between the viewing directions of neighbours, radians."""
+    max_correction: float = 0.1
+    """Largest disagreement between a neighbour's registration and the graph, metres and radians. A larger
+    one is rejected as an edge, and examined as a loop."""
+    edge_sigma_metres: float = 0.005
+    """Standard deviation of a registration's systematic error, metres."""
+    edge_sigma_radians: float = 0.0035
+    """Standard deviation of a registration's systematic error, radians."""
+    registrations_per_frame: int = 1
+    """Registrations between keyframes after each frame. Few of them keep every frame on time."""
+    backlog: int = 10
+    """Waiting registrations for which one more is done after a frame."""
+    kernel_width: float = 3.0
+    """Width of a registration's Huber kernel, standard deviations."""
+    window: int = 8
+    """Newest keyframes in the local bundle adjustment; 0 leaves it out."""
+    max_landmarks: int = 2048
+    """Landmarks in the local bundle adjustment, the most often seen first."""
+    loops: bool = True
+    """Whether loops are closed."""
+    loop_candidates: int = 2
+    """Keyframes outside the neighbourhood that are tried as loops, the most similar images first."""
+    loop_similarity: float = 0.75
+    """Least cosine between the image signatures of a loop."""
+    loop_gap: int = 10
+    """Newest keyframes that are never loops."""
+    loop_inliers: int = 40
+    """Least keypoint inliers of a loop."""
+    loop_inlier_fraction: float = 0.4
+    """Least share of surface inliers of a loop."""
+    loop_support: int = 2
+    """Loops that must agree with each other before they are accepted."""
+    max_loop_candidates: int = 16
+    """Candidate loops that wait for others to agree with them; the oldest make room."""
+    loop_slack: float = 0.3
+    """Correction that any loop may make, metres."""
+    max_drift: float = 0.08
+    """Correction that a loop may make beyond the slack, as a share of the path since. A larger one marks
+    another place that looks the same."""
+    max_turn: float = 0.35
+    """Largest rotation that a loop may correct, radians."""
+    relocalisation_candidates: int = 4
+    """Keyframes that a lost frame is looked for in, the most similar images first."""
+    relocalisation_inliers: int = 30
+    """Least keypoint inliers with which a lost frame is found again in a keyframe."""
+    capacity: int = 128
+    """Keyframes, and half the registrations, that the solver has room for at first. It doubles when full."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_counts(self, 1, "registrations_per_frame", "backlog", "max_landmarks", "loop_support")
+        check_counts(self, 2, "capacity")
+        check_counts(self, self.loop_support, "max_loop_candidates")
+        check_counts(self, 0, "num_neighbours", "window", "loop_candidates", "loop_gap", "loop_inliers")
+        check_counts(self, 0, "relocalisation_candidates", "relocalisation_inliers")
+        check_positive(self, "edge_sigma_metres", "edge_sigma_radians", "kernel_width")
+        check_range(self, 0, math.inf, "neighbour_distance", "neighbour_angle", "max_correction")
+        check_range(self, 0, math.inf, "loop_slack", "max_drift", "max_turn")
+        check_range(self, -1, 1, "loop_similarity")
+        check_range(self, 0, 1, "loop_inlier_fraction")

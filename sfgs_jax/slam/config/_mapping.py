@@ -1,0 +1,116 @@
+"""Settings of mapping: seeding, the loss and its optimiser, the choice of views."""
+
+import math
+from dataclasses import dataclass, field
+
+from sfgs_jax.arrays import InputError, check_counts, check_positive, check_range
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Adam's learning rate for each parameter of the Gaussians."""
+
+    means: float = 2e-4
+    """Learning rate of the means, metres."""
+    quaternions: float = 2e-3
+    """Learning rate of the unnormalised quaternions."""
+    log_scales: float = 5e-3
+    """Learning rate of the logarithms of the scales."""
+    opacity_logits: float = 2e-2
+    """Learning rate of the opacities before the sigmoid."""
+    sh: float = 5e-3
+    """Learning rate of the spherical-harmonics coefficients."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_range(self, 0, math.inf, "means", "quaternions", "log_scales", "opacity_logits", "sh")
+
+
+@dataclass(frozen=True)
+class SeedingConfig:
+    """Placement and start of new Gaussians."""
+
+    stride: int = 2
+    """Spacing of new Gaussians, pixels of the reduced image."""
+    min_alpha: float = 0.6
+    """Accumulated opacity below which a pixel gets a Gaussian."""
+    depth_margin: float = 0.05
+    """Distance by which a pixel's surface must lie in front of the map's to get a Gaussian, as a share of
+    its depth."""
+    opacity: float = 0.7
+    """Opacity of a new Gaussian."""
+    scale: float = 0.6
+    """Standard deviation of a new Gaussian along the surface, in spacings of the seeds."""
+    thickness: float = 0.3
+    """Standard deviation of a new Gaussian across the surface, as a share of that along it."""
+    max_depth: float = 12.0
+    """Depth beyond which no Gaussians are set, metres."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_counts(self, 1, "stride")
+        check_range(self, 0, 1, "min_alpha")
+        check_range(self, 0, math.inf, "depth_margin")
+        check_positive(self, "opacity", "scale", "thickness", "max_depth")
+        if not self.opacity < 1:
+            raise InputError(f"The setting opacity must be a number between 0 and 1, not {self.opacity!r}.")
+
+
+@dataclass(frozen=True)
+class OptimisationConfig:
+    """Loss and learning rates of a map step."""
+
+    ssim_weight: float = 0.2
+    """Weight of 1 - SSIM against L1 in the colour loss."""
+    depth_weight: float = 0.1
+    """Weight of the depth loss (L1, metres)."""
+    learning_rates: LearningRates = field(default_factory=LearningRates)
+    """Adam's learning rates."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_range(self, 0, 1, "ssim_weight")
+        check_range(self, 0, math.inf, "depth_weight")
+
+
+@dataclass(frozen=True)
+class MappingConfig:
+    """Growth and optimisation of the map."""
+
+    max_width: int = 320
+    """Largest width of the images that mapping works on, pixels. Larger ones are reduced by the smallest
+    whole factor."""
+    capacity: int = 131_072
+    """Gaussians that the map has room for at first. It doubles when full."""
+    max_capacity: int = 1_048_576
+    """Gaussians beyond which the map does not grow. The number left out is reported."""
+    pair_capacity: int = 131_072
+    """Pairs of tile and Gaussian that a rendering has room for at first. It grows when a view needs more."""
+    view_interval: int = 8
+    """Frames between two views. A keyframe is a view too, unless an ordinary view was taken less than half
+    an interval ago."""
+    views_in_memory: int = 128
+    """Views and keyframes whose images stay in memory. Older ones are kept on disk."""
+    steps_per_frame: int = 0
+    """Map steps after each tracked frame."""
+    steps_per_view: int = 1
+    """Map steps on a new view. The first comes before Gaussians are set where they are missing."""
+    final_steps: int = 1000
+    """Map steps over all views after the last frame."""
+    newest_share: float = 0.3
+    """Share of the map steps that goes to the newest view. The others go to views drawn uniformly."""
+    prune_interval: int = 200
+    """Map steps between two removals of transparent Gaussians."""
+    prune_opacity: float = 0.02
+    """Opacity below which Gaussians are removed."""
+    seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    """New Gaussians."""
+    optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
+    """Loss and learning rates."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_counts(self, 1, "max_width", "capacity", "pair_capacity", "view_interval", "prune_interval")
+        check_counts(self, self.capacity, "max_capacity")
+        check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")
+        check_range(self, 0, 1, "newest_share", "prune_opacity")

@@ -1,0 +1,119 @@
+"""Settings of tracking: keypoints, surface, the judgement of a pose, and when a keyframe is taken."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from sfgs_jax.arrays import check_choice, check_counts, check_positive, check_range
+from sfgs_jax.gicp import GicpConfig
+from sfgs_jax.superfeats import MIN_SIMILARITY
+
+KeypointKind = Literal["superfeats", "orb", "none"]
+
+
+@dataclass(frozen=True)
+class FeaturesConfig:
+    """Keypoints, their matches, and the motion found from them."""
+
+    kind: KeypointKind = "superfeats"
+    """Keypoint detector and descriptor; `none` leaves tracking to GICP alone."""
+    max_keypoints: int = 1024
+    """Slots for the keypoints of a frame."""
+    min_similarity: float = MIN_SIMILARITY
+    """Least cosine between the descriptors of a match."""
+    min_contrast: float = 0.015
+    """Least second difference of the grey values, of 1, around a keypoint. It removes the artefacts that a
+    detector finds on walls without texture and in the dark; even shading has none."""
+    depth_tolerance: float = 0.03
+    """Largest bend of the surface around a keypoint, as a share of its depth. Beyond it the keypoint lies on
+    a depth edge, and its depth is not used."""
+    max_rigid_matches: int = 256
+    """Best matches that the first, rigid motion is found from."""
+    max_distance: float = 0.08
+    """Largest distance between the points of a match under the rigid motion, metres."""
+    pixel_sigma: float = 1.0
+    """Standard deviation of a keypoint's position, pixels."""
+    inverse_depth_sigma: float = 0.003
+    """Standard deviation of a keypoint's inverse depth, 1/m."""
+    kernel_width: float = 3.0
+    """Width of a match's Geman-McClure kernel, standard deviations."""
+    inlier_pixels: float = 3.0
+    """Largest reprojection error of an inlier, pixels."""
+    inlier_depth_sigmas: float = 6.0
+    """Largest error of an inlier's inverse depth, standard deviations."""
+    correlation: float = 4.0
+    """Number of matches that share one independent error. Keypoints close to each other err together."""
+    min_inliers: int = 10
+    """Least inliers with which the keypoints take part in a registration."""
+    min_inliers_alone: int = 20
+    """Least inliers with which the keypoints stand without the surface, or against it."""
+    min_inlier_share: float = 0.25
+    """Least share of inliers among the matches with which the keypoints take part in a registration."""
+    min_inlier_share_alone: float = 0.33
+    """Least share of inliers where the surface leaves a direction of motion free. There the keypoints decide
+    alone, and nothing would contradict wrong matches that agree."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_choice(self, "kind", get_args(KeypointKind))
+        check_counts(self, 1, "max_keypoints", "max_rigid_matches", "min_inliers", "min_inliers_alone")
+        check_range(self, -1, 1, "min_similarity")
+        check_range(self, 0, 1, "min_contrast", "min_inlier_share", "min_inlier_share_alone")
+        check_positive(self, "depth_tolerance", "max_distance", "pixel_sigma", "inverse_depth_sigma")
+        check_positive(self, "kernel_width", "inlier_pixels", "inlier_depth_sigmas", "correlation")
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """Pose of a frame: keypoints and GICP against the reference keyframe."""
+
+    features: FeaturesConfig = field(default_factory=FeaturesConfig)
+    """Keypoints."""
+    gicp: GicpConfig = field(default_factory=lambda: GicpConfig(strides=(3, 2, 1, 1)))
+    """GICP. Its finest level takes every third row and column. Every second one gives the same poses to the
+    millimetre and takes half as long again (`experiments.tracking`)."""
+    use_surface: bool = True
+    """Whether GICP takes part. Without it keypoints alone give the poses."""
+    num_references: int = 2
+    """Keyframes that the tracker holds. Frames are registered to the newest of them."""
+    motion_model_sigma: float = 0.1
+    """Standard deviation of the constant-velocity motion model, metres and radians."""
+    min_inlier_fraction: float = 0.3
+    """Least share of surface inliers that GICP needs to succeed."""
+    min_inlier_fraction_alone: float = 0.4
+    """Least share of surface inliers where no keypoints confirm GICP. Surfaces alone fit in many places."""
+    min_agreement_alone: float = 0.75
+    """Least share of surface inliers among the points that the reference shows, where no keypoints confirm
+    GICP."""
+    max_correction_alone: float = 0.3
+    """Largest distance between GICP's start and its end where no keypoints confirm it, metres and radians."""
+    search_angle: float = 0.2
+    """Angle by which the guesses for a lost frame are turned up, down and sideways, radians. GICP converges
+    from starts about this far off."""
+    max_disagreement: float = 0.1
+    """Largest difference between the motions of keypoints and GICP that counts as agreement, metres and
+    radians."""
+    max_motion_model_frames: int = 15
+    """Frames in a row whose pose may rest on the motion model along a direction that the surface leaves
+    free."""
+    max_motion_model_travel: float = 0.1
+    """Motion that the motion model may add up to over such frames, metres and radians."""
+    max_lost: int = 30
+    """Lost frames in a row after which the surface alone finds no frame again. The camera may be anywhere by
+    then, and surfaces fit in many places. Without keypoints there is no limit."""
+    keyframe_inlier_fraction: float = 0.6
+    """Share of surface inliers below which a new keyframe is taken."""
+    keyframe_translation: float = 0.3
+    """Distance from the reference beyond which a new keyframe is taken, metres."""
+    keyframe_rotation: float = 0.35
+    """Angle from the reference beyond which a new keyframe is taken, radians."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_counts(self, 1, "num_references")
+        check_counts(self, 0, "max_motion_model_frames", "max_lost")
+        check_positive(self, "motion_model_sigma")
+        check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
+        check_range(self, 0, 1, "keyframe_inlier_fraction")
+        check_range(self, 0, math.inf, "max_correction_alone", "search_angle", "max_disagreement")
+        check_range(self, 0, math.inf, "max_motion_model_travel", "keyframe_translation", "keyframe_rotation")

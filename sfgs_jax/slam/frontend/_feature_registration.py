@@ -1,0 +1,166 @@
+"""Motion between two frames by their matched keypoints."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jax import lax
+from jax.lax import Precision
+from jaxtyping import Array, Bool, Float, Int
+
+from sfgs_jax import gicp
+from sfgs_jax.geometry import Camera, kernel_weight, reprojection_residuals, se3
+from sfgs_jax.slam.config import FeaturesConfig
+from sfgs_jax.slam.state._frame_features import Keypoints
+from sfgs_jax.slam.state._registration import FeatureRegistration
+from sfgs_jax.superfeats import match
+
+_STEPS = 8
+
+
+class _Rows(NamedTuple):
+    """Matched keypoints: the target's points, and what the source saw of them."""
+
+    points: Float[Array, "k 3"]
+    pixels: Float[Array, "k 2"]
+    depth: Float[Array, " k"]
+    valid: Bool[Array, " k"]
+
+
+def motion_from_keypoints(
+    source: Keypoints, target: Keypoints, guess: jaxlie.SE3, camera: Camera, config: FeaturesConfig
+) -> FeatureRegistration:
+    """Match two frames' keypoints and find the motion between the frames.
+
+    The motion starts from the guess if that explains most of the matches. Otherwise a rigid motion that lays
+    the matched points on each other is tried, by graduated non-convexity; it needs depth in both frames. Then
+    Gauss-Newton with a Geman-McClure kernel minimises the reprojection error of the target's points in the
+    source: pixels and, where the source has depth, inverse depth.
+
+    Args:
+        source: keypoints of the frame to locate, whose depth may be missing.
+        target: keypoints with depth of the frame to locate it in.
+        guess: the motion as it is thought to be.
+        camera: intrinsics of both.
+        config: settings.
+    """
+    slots = source.depth.shape[0]
+    if slots == 0:
+        # Features are switched off.
+        nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
+        return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
+    matches = match(source.features, target.features, min_similarity=config.min_similarity)
+    valid = matches.valid & target.measured[matches.index_b]
+    rows = _Rows(target.points[matches.index_b], source.features.keypoints, source.depth, valid)
+
+    num_matches = jnp.sum(valid, dtype=jnp.int32)
+    guessed = _support(guess, rows, camera, config)
+
+    def rigid() -> jaxlie.SE3:
+        T = _rigid_motion(source, rows, matches.similarity, config)
+        better = _support(T, rows, camera, config) > guessed
+        return jaxlie.SE3(jnp.where(better, T.wxyz_xyz, guess.wxyz_xyz))
+
+    # A guess that explains most of the matches has no rival, and is a good enough start.
+    T = lax.cond(2 * guessed > num_matches, lambda: jaxlie.SE3(guess.wxyz_xyz), rigid)
+    T, hessian = _refine(T, rows, camera, config)
+    inliers = _explained(T, rows, camera, config, config.inlier_pixels)
+    return FeatureRegistration(
+        T,
+        hessian / config.correlation,
+        matches.index_b,
+        inliers,
+        num_matches,
+        jnp.sum(inliers, dtype=jnp.int32),
+    )
+
+
+def num_explained(
+    T_target_source: jaxlie.SE3,
+    matched: FeatureRegistration,
+    source: Keypoints,
+    target: Keypoints,
+    camera: Camera,
+    config: FeaturesConfig,
+) -> Int[Array, ""]:
+    """Inliers that another motion explains too, counted."""
+    rows = _Rows(target.points[matched.index], source.features.keypoints, source.depth, matched.inliers)
+    return jnp.sum(_explained(T_target_source, rows, camera, config, config.inlier_pixels), dtype=jnp.int32)
+
+
+def _rigid_motion(
+    source: Keypoints, rows: _Rows, similarity: Float[Array, " k"], config: FeaturesConfig
+) -> jaxlie.SE3:
+    """The motion that lays most of the best matches' points on each other."""
+    best = jnp.where(rows.valid & (source.depth > 0), similarity, -1)
+    similarity, order = lax.top_k(best, min(config.max_rigid_matches, len(best)))
+    return gicp.rigid_from_matches(
+        source.points[order],
+        rows.points[order],
+        1 / jnp.maximum(source.depth[order], 0.3) ** 2,
+        valid=similarity > 0,
+        max_distance=config.max_distance,
+        refined=False,
+    ).T_target_source
+
+
+def _residuals(
+    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig
+) -> tuple[Float[Array, "3 k"], Float[Array, "3 6 k"], Bool[Array, " k"]]:
+    """Whitened residuals of T_target_source, their Jacobians in its tangent, and which rows have an image."""
+    # Rows that are not valid may hold anything: they go to where nothing has an image.
+    points = jnp.where(rows.valid, se3.transform(se3.inverse(T), rows.points).T, 0)
+    found = reprojection_residuals(
+        camera,
+        points,
+        rows.pixels.T,
+        rows.depth,
+        sigma=config.pixel_sigma,
+        inverse_depth_sigma=config.inverse_depth_sigma,
+    )
+    return found.residual, found.pose_jacobian, found.has_image
+
+
+def _explained(
+    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig, pixels: float
+) -> Bool[Array, " k"]:
+    residual, _, front = _residuals(T, rows, camera, config)
+    error = jnp.sum(residual[:2] ** 2, axis=0)
+    near = jnp.abs(residual[2]) < config.inlier_depth_sigmas
+    return front & near & (error < (pixels / config.pixel_sigma) ** 2)
+
+
+def _support(T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig) -> Int[Array, ""]:
+    """Matches that an unrefined motion explains, counted."""
+    return jnp.sum(_explained(T, rows, camera, config, 2 * config.inlier_pixels), dtype=jnp.int32)
+
+
+def _refine(
+    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig
+) -> tuple[jaxlie.SE3, Float[Array, "6 6"]]:
+    """Iteratively reweighted Gauss-Newton; the Hessian at the end, divided by the residuals' excess."""
+
+    def equations(T: jaxlie.SE3) -> tuple[Array, Array, Array, Array]:
+        residual, jacobian, front = _residuals(T, rows, camera, config)
+        square = jnp.sum(residual**2, axis=0)
+        weight = jnp.where(front, kernel_weight(square, "geman_mcclure", config.kernel_width), 0)
+        rows_of = jnp.moveaxis(jacobian, 1, 0).reshape(6, -1)
+        weighted = jnp.moveaxis(weight[None, None] * jacobian, 1, 0).reshape(6, -1)
+        hessian = jnp.matmul(weighted, rows_of.T, precision=Precision.HIGHEST)
+        gradient = jnp.matmul(weighted, residual.reshape(-1), precision=Precision.HIGHEST)
+        return hessian, gradient, jnp.sum(weight * square), jnp.sum(weight)
+
+    def step(_: Int[Array, ""], T: jaxlie.SE3) -> jaxlie.SE3:
+        hessian, gradient, _, _ = equations(T)
+        # Damped by its own diagonal, so that what no match fixes stays where it is.
+        diagonal = jnp.diagonal(hessian)
+        damped = hessian + jnp.diag(1e-4 * diagonal + 1e-3)
+        delta = -jax.scipy.linalg.solve(damped, gradient, assume_a="pos")
+        return se3.compose(T, se3.exp(jnp.clip(delta, -0.5, 0.5)))
+
+    T = lax.fori_loop(0, _STEPS, step, T)
+    hessian, _, square, weight = equations(T)
+    # Three rows a match.
+    excess = jnp.maximum(square / jnp.maximum(3 * weight, 1), 1)
+    return T, hessian / excess

@@ -1,0 +1,177 @@
+"""Registration of one frame to another: by keypoints, by GICP, and by both together."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jax.lax import Precision
+from jaxtyping import Array, Bool, Float
+
+from sfgs_jax import gicp
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import TrackingConfig
+from sfgs_jax.slam.frontend._feature_registration import motion_from_keypoints, num_explained
+from sfgs_jax.slam.frontend._pose_source import Evidence, judge, rests_on_surface
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._registration import FeatureRegistration, Registration
+from sfgs_jax.slam.state._tracker import TrackerParams
+
+
+class Allowed(NamedTuple):
+    """Sources of a pose that the frames before allow.
+
+    Attributes:
+        surface: whether the surface alone may give the pose.
+        motion_model: whether the motion model may fill the directions that the surface leaves free.
+    """
+
+    surface: Bool[Array, ""] | bool = True
+    motion_model: Bool[Array, ""] | bool = True
+
+
+@partial(jax.jit, inline=True)
+def register(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    guess: jaxlie.SE3,
+    allowed: Allowed | None = None,
+) -> Registration:
+    """Find T_target_source by keypoints and surface together.
+
+    Matched keypoints give a robust motion; where there are too few, the guess takes its place. GICP starts
+    there and minimises its own residuals together with the matches' reprojection error. The latter enters as
+    its quadratic form at its own minimum, which equals a Gauss-Newton step on both kinds of residuals. Each
+    weighs by its noise. So the keypoints decide where the surface leaves a direction free (a bare wall, a
+    sphere), and the surface decides where nothing matches. SFGS-SLAM (Wang and Deng, 2025), section 3.2.
+
+    Args:
+        params: parameters of tracking.
+        source: the frame to locate.
+        target: the frame to locate it in.
+        guess: T_target_source to start from.
+        allowed: sources of a pose that the frames before allow; all of them if not given.
+    """
+    config, features, allowed = params.config, params.config.features, allowed or Allowed()
+    matched = motion_from_keypoints(source.keypoints, target.keypoints, guess, params.camera, features)
+    share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
+    helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
+    many = matched.num_inliers >= features.min_inliers_alone
+    start = _choose(helpful, matched.T_target_source, guess)
+    if not config.use_surface:
+        return _without_surface(matched, start, helpful, many)
+
+    surface = _align(params, source, target, matched, start, helpful, many)
+    fits = surface.inlier_fraction >= config.min_inlier_fraction
+    num_free = jnp.sum(surface.free)
+    # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
+    keypoints = helpful & ((num_free == 0) | (share >= features.min_inlier_share_alone) | ~fits)
+    T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
+    fits &= jnp.all(jnp.isfinite(T.wxyz_xyz))
+    evidence = Evidence(
+        keypoints=keypoints,
+        many_keypoints=many,
+        surface=fits,
+        agree=_agree(params, source, target, matched, T),
+        surface_alone=_stands_alone(surface, _apart(guess, T), config),
+        free=num_free > 0,
+        surface_allowed=allowed.surface,
+        motion_model_allowed=allowed.motion_model,
+    )
+    by_surface = rests_on_surface(evidence)
+    return Registration(
+        T_target_source=_choose(by_surface, T, start),
+        surface_information=jnp.where(by_surface, surface.information, 0),
+        matched=matched,
+        source=judge(evidence),
+        inlier_fraction=surface.inlier_fraction,
+        rmse=surface.rmse,
+        num_free=num_free,
+    )
+
+
+def _agree(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    matched: FeatureRegistration,
+    T: jaxlie.SE3,
+) -> Bool[Array, ""]:
+    """True if the keypoints' motion is close to the surface's, or that explains most of their inliers."""
+    config = params.config
+    explained = num_explained(T, matched, source.keypoints, target.keypoints, params.camera, config.features)
+    close = _apart(matched.T_target_source, T) < config.max_disagreement
+    return close | (2 * explained > matched.num_inliers)
+
+
+def _without_surface(
+    matched: FeatureRegistration, T: jaxlie.SE3, helpful: Bool[Array, ""], many: Bool[Array, ""]
+) -> Registration:
+    """The registration by keypoints alone."""
+    nothing = Evidence(helpful, many, surface=False, agree=False, surface_alone=False, free=False)
+    zero = jnp.zeros(())
+    return Registration(
+        T_target_source=T,
+        surface_information=jnp.zeros((6, 6)),
+        matched=matched,
+        source=judge(nothing),
+        inlier_fraction=zero,
+        rmse=zero,
+        num_free=jnp.asarray(0),
+    )
+
+
+def _align(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    matched: FeatureRegistration,
+    start: jaxlie.SE3,
+    helpful: Bool[Array, ""],
+    many: Bool[Array, ""],
+) -> gicp.RegistrationResult:
+    """GICP with the matches' quadratic form as a prior, or the motion model's where there are too few."""
+    config = params.config
+    weak = jnp.eye(6) / config.motion_model_sigma**2
+    prior = gicp.MotionPrior(start, jnp.where(helpful, matched.information, weak))
+    # Many keypoints bring the start within reach of the finer levels.
+    coarsest = jnp.where(helpful & many, 1, config.gicp.levels - 1)
+    return gicp.align(source.cloud, target.cloud, start, prior=prior, coarsest=coarsest, config=config.gicp)
+
+
+def _stands_alone(
+    surface: gicp.RegistrationResult, correction: Float[Array, ""], config: TrackingConfig
+) -> Bool[Array, ""]:
+    """True if GICP needs no keypoints: it ended near its start, on most of the surface in view.
+
+    Points outside the target's image say nothing. Points inside that miss its surface speak against it.
+    """
+    least = jnp.maximum(config.min_inlier_fraction_alone, config.min_agreement_alone * surface.overlap)
+    return (correction < config.max_correction_alone) & (surface.inlier_fraction >= least)
+
+
+def _held_at_guess(surface: gicp.RegistrationResult, guess: jaxlie.SE3) -> jaxlie.SE3:
+    """The motion found, with the guess along the directions that the surface leaves free.
+
+    Noise, outlines and the facets of a smooth surface pull along these, and would add up over the frames.
+    """
+    off = se3.log(se3.compose(se3.inverse(guess), surface.T_target_source))
+    shares = jnp.where(surface.free, 0, jnp.linalg.solve(surface.directions, off))
+    return se3.compose(guess, se3.exp(jnp.matmul(surface.directions, shares, precision=Precision.HIGHEST)))
+
+
+def _apart(a: jaxlie.SE3, b: jaxlie.SE3) -> Float[Array, ""]:
+    """Difference of two motions, metres or radians, the larger."""
+    return extent(se3.compose(se3.inverse(a), b))
+
+
+def extent(T: jaxlie.SE3) -> Float[Array, ""]:
+    """Size of a motion, metres or radians, the larger."""
+    moved = se3.log(T)
+    return jnp.maximum(jnp.linalg.norm(moved[:3]), jnp.linalg.norm(moved[3:]))
+
+
+def _choose(condition: Bool[Array, ""], a: jaxlie.SE3, b: jaxlie.SE3) -> jaxlie.SE3:
+    return jaxlie.SE3(jnp.where(condition, a.wxyz_xyz, b.wxyz_xyz))

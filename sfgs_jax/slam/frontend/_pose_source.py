@@ -1,0 +1,132 @@
+"""Judgement of a registration: which residuals its pose rests on, and which uses it is good enough for."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int
+
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.state._registration import PoseSource, Registration
+
+Flag = Bool[Array, ""] | bool
+
+
+class Evidence(NamedTuple):
+    """Evidence for and against a registration; every field is a flag.
+
+    Attributes:
+        keypoints: enough matches agree for the keypoints to take part.
+        many_keypoints: enough of them agree to stand without the surface, or against it.
+        surface: GICP has enough inliers, and its motion is finite.
+        agree: keypoints and GICP have found the same motion.
+        surface_alone: GICP ended near its start, with enough inliers to need no keypoints.
+        free: the surface leaves a direction of motion free.
+        surface_allowed: the camera was seen recently enough for the surface alone to tell where it is.
+        motion_model_allowed: the motion model has not carried the pose too long or too far, and no frame was
+            lost since it was learnt.
+    """
+
+    keypoints: Flag
+    many_keypoints: Flag
+    surface: Flag
+    agree: Flag
+    surface_alone: Flag
+    free: Flag
+    surface_allowed: Flag = True
+    motion_model_allowed: Flag = True
+
+
+def judge(evidence: Evidence) -> Int[Array, ""]:
+    """Residuals that a pose rests on.
+
+    A dash stands for either. Few keypoints help the surface; many stand without it and against it.
+
+    | keypoints | many | surface | agree | surface alone | free | allowed | pose source |
+    | --- | --- | --- | --- | --- | --- | --- | --- |
+    | yes | - | yes | yes | - | - | - | `JOINT` |
+    | yes | yes | - | no | - | - | - | `KEYPOINTS` |
+    | yes | no | yes | no | yes | no | surface | `SURFACE` |
+    | yes | no | yes | no | yes | yes | motion model | `MOTION_MODEL` |
+    | no | - | yes | - | yes | no | surface | `SURFACE` |
+    | no | - | yes | - | yes | yes | motion model | `MOTION_MODEL` |
+    | any other | | | | | | | `LOST` |
+
+    Args:
+        evidence: flags, traced or concrete.
+
+    Returns:
+        A `PoseSource` as an integer.
+    """
+    e = Evidence(*(jnp.asarray(flag) for flag in evidence))
+    joint = e.keypoints & e.surface & e.agree
+    keypoints = e.keypoints & e.many_keypoints & ~joint
+    alone = e.surface & e.surface_alone & ~joint & ~keypoints
+    sources = (
+        (joint, PoseSource.JOINT),
+        (keypoints, PoseSource.KEYPOINTS),
+        (alone & ~e.free & e.surface_allowed, PoseSource.SURFACE),
+        (alone & e.free & e.motion_model_allowed, PoseSource.MOTION_MODEL),
+    )
+    return jnp.select([when for when, _ in sources], [jnp.asarray(int(s)) for _, s in sources], 0)
+
+
+def rests_on_surface(evidence: Evidence) -> Bool[Array, ""]:
+    """True if GICP's motion is the one to take, allowed or not: rows 1 and 3 to 6 of the table of `judge`.
+
+    Args:
+        evidence: flags, traced or concrete.
+    """
+    e = Evidence(*(jnp.asarray(flag) for flag in evidence))
+    joint = e.keypoints & e.agree
+    contradicted = e.keypoints & e.many_keypoints & ~e.agree
+    return jnp.asarray(e.surface & (joint | (e.surface_alone & ~contradicted)))
+
+
+def supports_relocalisation(found: Registration, config: GraphConfig) -> bool:
+    """True if a lost frame is believed in a keyframe that only looks like it.
+
+    Surfaces alone fit in many places, so many matches have to agree.
+
+    Args:
+        found: registration of the frame to the keyframe.
+        config: settings.
+    """
+    keypoints = int(found.source) in (PoseSource.JOINT, PoseSource.KEYPOINTS)
+    return keypoints and int(found.matched.num_inliers) >= config.relocalisation_inliers
+
+
+def supports_edge(
+    found: Registration, correction: float, config: GraphConfig, *, with_keypoints: bool
+) -> bool:
+    """True if a registration of neighbouring keyframes becomes an edge of the graph.
+
+    Args:
+        found: the registration.
+        correction: its disagreement with the graph, metres or radians, the larger.
+        config: settings.
+        with_keypoints: whether there are keypoints at all; where there are, they must take part.
+    """
+    sources = (PoseSource.JOINT, PoseSource.KEYPOINTS) if with_keypoints else (PoseSource.SURFACE,)
+    return int(found.source) in sources and correction < config.max_correction
+
+
+def supports_loop(found: Registration, off: np.ndarray, travelled: float, config: GraphConfig) -> bool:
+    """True if a registration may close a loop: keypoints and surface confirm it, and drift explains it.
+
+    Two rooms that look the same pass every test of looks and fit. They fail this one: the path between them
+    is too short for so large an error.
+
+    Args:
+        found: the registration.
+        off: (6,) tangent of its disagreement with the graph.
+        travelled: length of the path between the keyframes, metres.
+        config: settings.
+    """
+    confirmed = (
+        int(found.source) == PoseSource.JOINT
+        and int(found.matched.num_inliers) >= config.loop_inliers
+        and float(found.inlier_fraction) >= config.loop_inlier_fraction
+    )
+    bound = config.loop_slack + config.max_drift * travelled
+    return bool(confirmed and np.linalg.norm(off[:3]) < bound and np.linalg.norm(off[3:]) < config.max_turn)

@@ -1,0 +1,300 @@
+"""Tracking of a frame: one pure function from images to a pose, compiled once per image size."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import TrackingConfig
+from sfgs_jax.slam.frontend._frame_features import feature_shapes, frame_features
+from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, register
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._registration import PoseSource, Registration
+from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, empty_tracker, with_reference
+from sfgs_jax.superfeats import Features
+
+_BY_LAST = 2
+"""Number of the first attempt that registers to the last frame instead of the reference."""
+
+
+class TrackInfo(eqx.Module):
+    """What happened to a frame.
+
+    Attributes:
+        T_world_cam: its pose; the last known one where it was lost.
+        T_reference_cam: its pose in the keyframe that it was registered to.
+        source: a `PoseSource`.
+        registration: its registration, with the evidence.
+        reference: number of the keyframe that it was registered to.
+        bridged: whether the frame before it became a keyframe first, because the reference shared too little.
+        new_keyframe: whether the frame became a keyframe.
+        features: its features.
+    """
+
+    T_world_cam: jaxlie.SE3
+    T_reference_cam: jaxlie.SE3
+    source: Int[Array, ""]
+    registration: Registration
+    reference: Int[Array, ""]
+    bridged: Bool[Array, ""]
+    new_keyframe: Bool[Array, ""]
+    features: FrameFeatures
+
+    @property
+    def tracked(self) -> Bool[Array, ""]:
+        """Whether the frame's pose is known."""
+        return self.source != PoseSource.LOST
+
+
+def init_tracker(params: TrackerParams) -> Tracker:
+    """The tracker before the first frame, whose camera will be the world frame.
+
+    Args:
+        params: parameters of tracking.
+    """
+    features = feature_shapes(params)
+    found = jax.eval_shape(register, params, features, features, se3.identity())
+    return empty_tracker(features, found, params.config.num_references)
+
+
+@jax.jit
+def track(
+    params: TrackerParams,
+    tracker: Tracker,
+    image: Float[Array, "H W"] | Float[Array, "H W 3"],
+    depth: Float[Array, "H W"],
+    elapsed: Float[Array, ""],
+    features: Features | None = None,
+) -> tuple[Tracker, TrackInfo]:
+    """Find a frame's pose in the current reference, and decide whether it becomes a keyframe.
+
+    A pure function on pytrees of fixed shapes: `lax.scan` over frames, `vmap` over recordings. The pose is
+    differentiable through the frame's last registration, by the implicit function theorem.
+
+    A frame is registered from the motion model, then from the last pose. If both fail, the same is tried in
+    the frame before, which then becomes a keyframe itself.
+
+    Args:
+        params: parameters of tracking.
+        tracker: from `init_tracker` or an earlier call.
+        image: colours or grey values in [0, 1].
+        depth: metres along z; not finite or not positive counts as missing.
+        elapsed: seconds since the frame before, tracked or not; 0 if unknown.
+        features: keypoints of another extractor, instead of those of the network.
+    """
+    seen = frame_features(params, image, depth, features)
+    tracker = eqx.tree_at(lambda t: t.since_tracked, tracker, tracker.since_tracked + elapsed)
+    found, attempt = _first_success((params, tracker, seen))
+
+    is_first = tracker.num_keyframes == 0
+    begun = jnp.where(seen.registrable, int(PoseSource.JOINT), int(PoseSource.LOST))
+    source = jnp.where(is_first, begun, found.source)
+    bridged = (source != PoseSource.LOST) & (attempt >= _BY_LAST) & ~is_first
+    before = tracker.T_world_cam
+    tracker = _push_if(bridged, tracker, tracker.last, before)
+    tracker, info = settle(params, tracker, seen, found, before=before, source=source)
+    return tracker, eqx.tree_at(lambda i: i.bridged, info, bridged)
+
+
+def settle(
+    params: TrackerParams,
+    tracker: Tracker,
+    seen: FrameFeatures,
+    found: Registration,
+    *,
+    before: jaxlie.SE3,
+    source: Int[Array, ""],
+    relocalised: Bool[Array, ""] | bool = False,
+) -> tuple[Tracker, TrackInfo]:
+    """The tracker after a frame was registered to its current reference, or lost.
+
+    Args:
+        params: parameters of tracking.
+        tracker: with the reference that the frame was registered to; empty before the first frame.
+        seen: features of the frame.
+        found: its registration.
+        before: `T_world_cam` of the newest tracked frame before it.
+        source: a `PoseSource`.
+        relocalised: whether the frame was found by its looks; then its motion is unknown.
+    """
+    is_first, tracked = tracker.num_keyframes == 0, source != PoseSource.LOST
+    # A pose that rests on the motion model in part would pass its error on to every later frame.
+    firm = (source != PoseSource.MOTION_MODEL) & ~jnp.asarray(relocalised)
+    could_be_keyframe = tracked & seen.registrable & firm
+    new_keyframe = could_be_keyframe & (is_first | needs_keyframe(found, params.config))
+    T = jnp.where(tracked & ~is_first, found.T_target_source.wxyz_xyz, tracker.T_reference_cam.wxyz_xyz)
+    tracker = _moved(tracker, before, jaxlie.SE3(T), source, relocalised)
+    info = TrackInfo(
+        T_world_cam=tracker.T_world_cam,
+        T_reference_cam=jaxlie.SE3(T),
+        source=source,
+        registration=found,
+        reference=tracker.reference_keyframes[tracker.current],
+        bridged=jnp.asarray(False),
+        new_keyframe=new_keyframe,
+        features=seen,
+    )
+    tracker = _push_if(new_keyframe, tracker, seen, info.T_world_cam)
+    return _remembered(tracker, seen, found, tracked, could_be_keyframe & ~new_keyframe), info
+
+
+def needs_keyframe(found: Registration, config: TrackingConfig) -> Bool[Array, ""]:
+    """True if the camera has left the reference so far that the frame should be a keyframe.
+
+    Args:
+        found: registration of the frame to its reference.
+        config: settings.
+    """
+    moved = se3.log(found.T_target_source)
+    little = found.inlier_fraction < config.keyframe_inlier_fraction
+    far = jnp.linalg.norm(moved[:3]) > config.keyframe_translation
+    turned = jnp.linalg.norm(moved[3:]) > config.keyframe_rotation
+    return (config.use_surface & little) | far | turned
+
+
+def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
+    """Sources of the next frame's pose that the frames before allow.
+
+    Args:
+        tracker: before the frame.
+        config: settings.
+    """
+    carried = tracker.motion_model_frames < config.max_motion_model_frames
+    carried &= tracker.motion_model_travel <= config.max_motion_model_travel
+    # Keypoints can still tell where a camera is that was lost for long; its surface can't.
+    recent = tracker.lost_in_a_row <= config.max_lost
+    has_keypoints = config.features.kind != "none"
+    # A lost frame may have moved in any way.
+    return Allowed(surface=recent | (not has_keypoints), motion_model=carried & (tracker.lost_in_a_row == 0))
+
+
+def _starts(tracker: Tracker) -> Float[Array, "4 7"]:
+    """Guesses of T_target_source as wxyz_xyz: two in the reference, two in the last frame."""
+    motion = tracker.predicted_motion
+    identity = se3.identity(motion.wxyz_xyz.dtype)
+    in_reference = se3.compose(tracker.T_reference_cam, motion)
+    guesses = (in_reference, tracker.T_reference_cam, motion, identity)
+    return jnp.stack([T.wxyz_xyz for T in guesses])
+
+
+_Inputs = tuple[TrackerParams, Tracker, FrameFeatures]
+
+
+def _register_at(inputs: _Inputs, attempt: Int[Array, ""]) -> Registration:
+    params, tracker, seen = inputs
+    by_last = attempt >= _BY_LAST
+    target = jax.tree.map(
+        lambda ring, last: jnp.where(
+            by_last, last, lax.dynamic_index_in_dim(ring, tracker.current, 0, False)
+        ),
+        tracker.references,
+        tracker.last,
+    )
+    guess = jaxlie.SE3(_starts(tracker)[attempt])
+    return register(params, seen, target, guess, allowed_sources(tracker, params.config))
+
+
+@eqx.filter_custom_jvp
+def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
+    """The first registration that is believed, or the last one tried, and the number of its attempt."""
+    _, tracker, _ = inputs
+    blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_register_at, inputs, 0))
+    first = jnp.where(tracker.num_keyframes > 0, 0, 2 * _BY_LAST)
+    count = jnp.where(tracker.has_last, 2 * _BY_LAST, _BY_LAST)
+
+    def unfinished(state: tuple[Registration, Int[Array, ""]]) -> Bool[Array, ""]:
+        found, attempt = state
+        return (found.source == PoseSource.LOST) & (attempt < count)
+
+    def again(state: tuple[Registration, Int[Array, ""]]) -> tuple[Registration, Int[Array, ""]]:
+        return _register_at(inputs, state[1]), state[1] + 1
+
+    found, attempts = lax.while_loop(unfinished, again, (blank, first))
+    return found, attempts - 1
+
+
+@_first_success.def_jvp
+def _first_success_jvp(primals: tuple[_Inputs], tangents: tuple) -> tuple:
+    """The derivative is that of the attempt that succeeded."""
+    (inputs,), (rates,) = primals, tangents
+    found, attempt = _first_success(inputs)
+    tried = jnp.clip(attempt, 0, 2 * _BY_LAST - 1)
+    _, rate = eqx.filter_jvp(lambda moving: _register_at(moving, tried), (inputs,), (rates,))
+    return (found, attempt), (rate, None)
+
+
+def _moved(
+    tracker: Tracker,
+    before: jaxlie.SE3,
+    T_reference_cam: jaxlie.SE3,
+    source: Int[Array, ""],
+    relocalised: Bool[Array, ""] | bool,
+) -> Tracker:
+    """The tracker with the frame's pose, and the motion model after it."""
+    tracked, by_model = source != PoseSource.LOST, source == PoseSource.MOTION_MODEL
+    after = eqx.tree_at(lambda t: t.T_reference_cam, tracker, T_reference_cam)
+    identity = se3.identity(before.wxyz_xyz.dtype).wxyz_xyz
+    measured = se3.compose(se3.inverse(before), after.T_world_cam).wxyz_xyz
+    predicted = tracker.predicted_motion
+    # A frame that rests on the motion model teaches it nothing. After a lost frame there is no motion.
+    motion = jnp.where(by_model, predicted.wxyz_xyz, measured)
+    return eqx.tree_at(
+        lambda t: (
+            t.T_previous_current,
+            t.motion_seconds,
+            t.since_tracked,
+            t.lost_in_a_row,
+            t.motion_model_frames,
+            t.motion_model_travel,
+        ),
+        after,
+        (
+            jaxlie.SE3(jnp.where(tracked & ~jnp.asarray(relocalised), motion, identity)),
+            jnp.where(tracked, tracker.since_tracked, 0),
+            jnp.where(tracked, 0, tracker.since_tracked),
+            jnp.where(tracked, 0, tracker.lost_in_a_row + 1),
+            _counted(tracker.motion_model_frames, 1, by_model, tracked),
+            _counted(tracker.motion_model_travel, extent(predicted), by_model, tracked),
+        ),
+    )
+
+
+def _counted(total: Array, more: Array | int, by_model: Bool[Array, ""], tracked: Bool[Array, ""]) -> Array:
+    """A count over frames in a row that rest on the motion model; a lost frame leaves it as it is."""
+    return jnp.where(by_model, total + more, jnp.where(tracked, 0, total))
+
+
+def _push_if(
+    condition: Bool[Array, ""], tracker: Tracker, features: FrameFeatures, T_world_cam: jaxlie.SE3
+) -> Tracker:
+    """The tracker with a new keyframe as its reference, where the condition holds."""
+
+    def push(tracker: Tracker) -> Tracker:
+        pushed = with_reference(tracker, features, T_world_cam.wxyz_xyz, tracker.num_keyframes)
+        identity = se3.identity(T_world_cam.wxyz_xyz.dtype)
+        return eqx.tree_at(
+            lambda t: (t.num_keyframes, t.T_reference_cam),
+            pushed,
+            (tracker.num_keyframes + 1, identity),
+        )
+
+    return lax.cond(condition, push, lambda t: t, tracker)
+
+
+def _remembered(
+    tracker: Tracker, seen: FrameFeatures, found: Registration, tracked: Array, could_be_keyframe: Array
+) -> Tracker:
+    """The tracker with a tracked frame as the last one: the next may need it as a keyframe."""
+    last, registration = jax.tree.map(
+        lambda new, old: jnp.where(tracked, new, old),
+        (seen, found),
+        (tracker.last, tracker.last_registration),
+    )
+    return eqx.tree_at(
+        lambda t: (t.last, t.last_registration, t.has_last),
+        tracker,
+        (last, registration, jnp.where(tracked, could_be_keyframe, tracker.has_last)),
+    )

@@ -1,0 +1,93 @@
+"""Edges of the keyframe graph: registrations with their systematic error, and as a block of factors."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.factor_graph import RelativePose
+from sfgs_jax.geometry import Kernel
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.state._keyframe_graph import Edge
+from sfgs_jax.slam.state._registration import Registration
+
+
+def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
+    """A registration as an edge of the graph, with the systematic part of its error.
+
+    Args:
+        target: number of the keyframe registered to.
+        source: number of the keyframe registered.
+        found: the registration.
+        config: settings.
+    """
+    return Edge(
+        target=target,
+        source=source,
+        T_target_source=np.asarray(found.T_target_source.wxyz_xyz),
+        information=_with_systematic_error(np.asarray(found.information, np.float64), config),
+        surface_information=_with_systematic_error(np.asarray(found.surface_information, np.float64), config),
+        revisit=source - target > config.loop_gap,
+        loop=False,
+    )
+
+
+def systematic_variances(config: GraphConfig) -> Float[np.ndarray, "6"]:
+    """Variances of a registration's error that more points or matches make no smaller, by tangent.
+
+    The depth camera's own distortion moves with the camera, and holds every registration back a little.
+
+    Args:
+        config: settings.
+    """
+    return np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3) ** 2
+
+
+def _with_systematic_error(
+    information: Float[np.ndarray, "6 6"], config: GraphConfig
+) -> Float[np.ndarray, "6 6"]:
+    """Information after the systematic error is added, (I^-1 + S)^-1.
+
+    Computed without the inverse of I, which is singular where the surface leaves directions free.
+    """
+    total = np.linalg.solve(np.eye(6) + information @ np.diag(systematic_variances(config)), information)
+    return ((total + total.T) / 2).astype(np.float32)
+
+
+def relative_poses(
+    edges: Sequence[Edge],
+    capacity: int,
+    *,
+    first: int = 0,
+    surface_only: bool = False,
+    kernel: Kernel = "none",
+    kernel_width: float = 1.0,
+) -> RelativePose:
+    """Edges as one padded block of factors.
+
+    Args:
+        edges: at most `capacity` of them.
+        capacity: rows of the block.
+        first: number of the keyframe that is pose 0 of the problem.
+        surface_only: whether the edges weigh by the surface's information alone.
+        kernel: robust kernel.
+        kernel_width: its width, standard deviations.
+    """
+    count = len(edges)
+    poses = np.tile(np.asarray([0, 1], np.int32), (capacity, 1))
+    motions = np.tile(np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32), (capacity, 1))
+    information = np.tile(np.eye(6, dtype=np.float32), (capacity, 1, 1))
+    for row, edge in enumerate(edges):
+        poses[row] = edge.target - first, edge.source - first
+        motions[row] = edge.T_target_source
+        information[row] = edge.surface_information if surface_only else edge.information
+    return RelativePose(
+        poses,
+        jaxlie.SE3(jnp.asarray(motions)),
+        jnp.asarray(information),
+        valid=np.arange(capacity) < count,
+        kernel=kernel,
+        kernel_width=kernel_width,
+    )

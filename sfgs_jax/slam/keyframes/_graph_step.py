@@ -1,0 +1,86 @@
+"""The graph's work after a frame: a few registrations, and once none is left, its optimisation."""
+
+from dataclasses import replace
+
+import jaxlie
+import numpy as np
+
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.frontend._joint_registration import register
+from sfgs_jax.slam.frontend._pose_source import supports_edge, supports_loop
+from sfgs_jax.slam.keyframes._edges import edge_of
+from sfgs_jax.slam.keyframes._landmarks import share_landmarks
+from sfgs_jax.slam.keyframes._local_bundle_adjustment import optimise_window
+from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, travelled, with_candidate
+from sfgs_jax.slam.keyframes._pose_graph import optimise_poses
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.slam.state._tracker import TrackerParams
+
+
+def advance_graph(
+    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, *, grown: bool
+) -> tuple[KeyframeGraph, bool]:
+    """Register a pair or so of keyframes; once the newest waits for none, optimise.
+
+    Args:
+        params: parameters of tracking.
+        graph: before.
+        config: settings.
+        grown: whether a keyframe was inserted for this frame.
+
+    Returns:
+        The graph, and whether a loop was closed.
+    """
+    if not config.enabled:
+        return graph, False
+    closed, waited = False, bool(graph.pending)
+    # A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster.
+    for _ in range(max(config.registrations_per_frame, len(graph.pending) // config.backlog)):
+        if not graph.pending:
+            break
+        graph, closed_now = _register_next(params, graph, config)
+        closed |= closed_now
+    if closed or (not graph.pending and (waited or grown)):
+        graph = optimise_window(params, optimise_poses(graph, config), config)
+    return graph, closed
+
+
+def _register_next(
+    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig
+) -> tuple[KeyframeGraph, bool]:
+    """The graph after the next waiting pair was registered, and whether that closed a loop."""
+    (target, source), rest = graph.pending[0], graph.pending[1:]
+    graph = replace(graph, pending=rest)
+    found, off = register_pair(params, graph, target, source)
+    correction = float(max(np.linalg.norm(off[:3]), np.linalg.norm(off[3:])))
+    with_keypoints = params.config.features.kind != "none"
+    if supports_edge(found, correction, config, with_keypoints=with_keypoints):
+        graph = share_landmarks(graph, target, source, found)
+        return replace(graph, edges=(*graph.edges, edge_of(target, source, found, config))), False
+    may_be_loop = config.loops and source - target > config.loop_gap
+    if may_be_loop and supports_loop(found, off, travelled(graph, target, source), config):
+        candidate = edge_of(target, source, found, config)
+        return accept_consistent_loops(with_candidate(graph, candidate, config), config)
+    return graph, False
+
+
+def register_pair(
+    params: TrackerParams, graph: KeyframeGraph, target: int, source: int
+) -> tuple[Registration, np.ndarray]:
+    """Register a keyframe to another from where the graph has them.
+
+    Args:
+        params: parameters of tracking.
+        graph: that holds them.
+        target: number of the keyframe to register to.
+        source: number of the keyframe to register.
+
+    Returns:
+        The registration, and the (6,) tangent of its disagreement with the graph.
+    """
+    a, b = graph.keyframes[target], graph.keyframes[source]
+    guess = se3.compose(se3.inverse(graph.pose(target)), graph.pose(source))
+    found = register(params, b.features, a.features, jaxlie.SE3(guess.wxyz_xyz))
+    return found, np.asarray(se3.log(se3.compose(se3.inverse(guess), found.T_target_source)))

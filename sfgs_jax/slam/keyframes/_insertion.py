@@ -1,0 +1,133 @@
+"""Insertion of keyframes: their place in the graph, and the registrations they wait for."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.frontend import TrackInfo
+from sfgs_jax.slam.keyframes._edges import edge_of
+from sfgs_jax.slam.keyframes._landmarks import share_landmarks
+from sfgs_jax.slam.keyframes._loops import loop_pairs
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
+from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.slam.state._tracker import Tracker
+
+
+def with_new_keyframes(
+    graph: KeyframeGraph,
+    tracker: Tracker,
+    found: TrackInfo,
+    frames: tuple[int, int],
+    config: GraphConfig,
+) -> KeyframeGraph:
+    """The graph with the keyframes that tracking took: the frame before as a bridge, and the frame itself.
+
+    Args:
+        graph: before.
+        tracker: before the frame.
+        found: what happened to the frame.
+        frames: numbers of the newest tracked frame before it, and of the frame itself.
+        config: settings.
+    """
+    if not graph.keyframes:
+        return first_keyframe(graph, found.features, frames[1])
+    if bool(found.bridged):
+        reference = int(tracker.reference_keyframes[tracker.current])
+        graph = insert_keyframe(graph, tracker.last, tracker.last_registration, reference, frames[0], config)
+    if bool(found.new_keyframe):
+        reference = int(found.reference)
+        graph = insert_keyframe(graph, found.features, found.registration, reference, frames[1], config)
+    return graph
+
+
+def first_keyframe(graph: KeyframeGraph, features: FrameFeatures, frame: int) -> KeyframeGraph:
+    """The graph with its first keyframe, whose camera is the world frame.
+
+    Args:
+        graph: without keyframes.
+        features: of the keyframe.
+        frame: its number in its source.
+    """
+    identity = np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32)
+    return _with_keyframe(graph, features, identity, identity, reference=0, frame=frame)
+
+
+def insert_keyframe(
+    graph: KeyframeGraph,
+    features: FrameFeatures,
+    found: Registration,
+    reference: int,
+    frame: int,
+    config: GraphConfig,
+) -> KeyframeGraph:
+    """The graph with a frame as a keyframe, tied to its reference and waiting to be tied to others.
+
+    Args:
+        graph: before.
+        features: of the frame.
+        found: its registration to the reference.
+        reference: number of the keyframe that it was tracked in.
+        frame: its number in its source.
+        config: settings.
+    """
+    motion = found.T_target_source
+    pose = np.asarray(se3.compose(graph.pose(reference), motion).wxyz_xyz)
+    source = len(graph.keyframes)
+    graph = _with_keyframe(
+        graph, features, pose, np.asarray(motion.wxyz_xyz), reference=reference, frame=frame
+    )
+    if not config.enabled:
+        return graph
+    graph = share_landmarks(graph, reference, source, found)
+    graph = replace(graph, edges=(*graph.edges, edge_of(reference, source, found, config)))
+    near = neighbours(graph, config)
+    far = tuple(pair for pair in loop_pairs(graph, config) if pair not in near and pair[0] != reference)
+    return replace(graph, pending=(*graph.pending, *near, *far))
+
+
+def _with_keyframe(
+    graph: KeyframeGraph,
+    features: FrameFeatures,
+    pose: np.ndarray,
+    tracked: np.ndarray,
+    *,
+    reference: int,
+    frame: int,
+) -> KeyframeGraph:
+    slots = features.keypoints.depth.shape[0]
+    keyframe = Keyframe(
+        features=features,
+        landmarks=np.full(slots, -1),
+        frame=frame,
+        reference=reference,
+        T_reference_keyframe=tracked,
+    )
+    return replace(
+        graph, keyframes=(*graph.keyframes, keyframe), poses=np.concatenate([graph.poses, pose[None]])
+    )
+
+
+def neighbours(graph: KeyframeGraph, config: GraphConfig) -> tuple[tuple[int, int], ...]:
+    """Pairs (target, source) of the newest keyframe with earlier ones that see the same.
+
+    Judged by the poses: cameras near each other that look the same way, except those it has an edge to.
+    Without loops only recent keyframes count: one from before would close a loop, however small the drift.
+
+    Args:
+        graph: with at least one keyframe.
+        config: settings.
+    """
+    poses = se3.matrices_of(graph.poses)
+    newest = len(poses) - 1
+    known = {edge.target for edge in graph.edges if edge.source == newest}
+    distance = np.linalg.norm(poses[:newest, :3, 3] - poses[newest, :3, 3], axis=1)
+    angle = np.arccos(np.clip(poses[:newest, :3, 2] @ poses[newest, :3, 2], -1, 1))
+    near = (distance < config.neighbour_distance) & (angle < config.neighbour_angle)
+    if not config.loops:
+        near &= newest - np.arange(newest) <= config.loop_gap
+    order = np.argsort(distance + angle, kind="stable")
+    chosen = [int(i) for i in order if near[i] and int(i) not in known][: config.num_neighbours]
+    return tuple((i, newest) for i in chosen)

@@ -1,0 +1,71 @@
+"""Pose graph: the poses of all keyframes by all registrations between them."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Float
+
+from sfgs_jax.arrays import doubled
+from sfgs_jax.factor_graph import FactorGraph, SolverConfig, Status, Values, solve
+from sfgs_jax.geometry import Kernel
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.keyframes._edges import relative_poses
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+
+_SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4)
+
+
+def optimise_poses(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
+    """The graph with all keyframes' poses by all registrations, the first keyframe fixed.
+
+    A Huber kernel bounds the effect of a wrong registration. Loops get dynamic covariance scaling, which
+    gives them up altogether where the rest of the graph contradicts them.
+
+    Args:
+        graph: before.
+        config: settings.
+    """
+    if not graph.edges:
+        return graph
+    capacity = pose_capacity(graph, config)
+    kernels: tuple[tuple[bool, Kernel], ...] = ((False, "huber"), (True, "dynamic_covariance_scaling"))
+    factors = [
+        relative_poses(
+            [edge for edge in graph.edges if edge.loop == loop],
+            2 * capacity,
+            kernel=kernel,
+            kernel_width=config.kernel_width,
+        )
+        for loop, kernel in kernels
+    ]
+    free = np.zeros(capacity, bool)
+    free[1 : len(graph.keyframes)] = True
+    problem = FactorGraph(factors, num_poses=capacity, free_poses=free, linear_solver="dense")
+    start = Values(jaxlie.SE3(padded_poses(graph.poses, capacity)))
+    solution = solve(problem, start, config=_SOLVER)
+    if int(solution.status) in (Status.DIVERGED, Status.SINGULAR):
+        return graph
+    found = np.asarray(solution.values.poses.wxyz_xyz)[: len(graph.keyframes)]
+    return replace(graph, poses=found)
+
+
+def pose_capacity(graph: KeyframeGraph, config: GraphConfig) -> int:
+    """Keyframes, and half the registrations, that the solver's arrays have room for.
+
+    Args:
+        graph: to be optimised.
+        config: settings.
+    """
+    return doubled(config.capacity, max(len(graph.keyframes), -(-len(graph.edges) // 2)))
+
+
+def padded_poses(poses: Float[np.ndarray, "n 7"], capacity: int) -> Float[Array, "c 7"]:
+    """Poses as wxyz_xyz, the last one repeated up to `capacity`.
+
+    Args:
+        poses: (n, 7) as wxyz_xyz.
+        capacity: rows of the result.
+    """
+    return jnp.asarray(np.pad(poses, ((0, capacity - len(poses)), (0, 0)), mode="edge"))

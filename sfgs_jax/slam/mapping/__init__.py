@@ -1,0 +1,20 @@
+"""The Gaussian map at work: views, seeding, map steps, and the thread that does them."""
+
+from sfgs_jax.slam.mapping._map_step import MapParams as MapParams
+from sfgs_jax.slam.mapping._map_step import MapStep as MapStep
+from sfgs_jax.slam.mapping._map_step import map_step as map_step
+from sfgs_jax.slam.mapping._map_step import mapping_loss as mapping_loss
+from sfgs_jax.slam.mapping._map_step import prune as prune
+from sfgs_jax.slam.mapping._map_update import follow_keyframes as follow_keyframes
+from sfgs_jax.slam.mapping._map_update import insert_view as insert_view
+from sfgs_jax.slam.mapping._map_update import map_frame as map_frame
+from sfgs_jax.slam.mapping._map_update import optimise_once as optimise_once
+from sfgs_jax.slam.mapping._map_update import step_on_view as step_on_view
+from sfgs_jax.slam.mapping._map_worker import MAX_KEYFRAMES_WAITING as MAX_KEYFRAMES_WAITING
+from sfgs_jax.slam.mapping._map_worker import InlineMapWorker as InlineMapWorker
+from sfgs_jax.slam.mapping._map_worker import MapWorker as MapWorker
+from sfgs_jax.slam.mapping._map_worker import ThreadedMapWorker as ThreadedMapWorker
+from sfgs_jax.slam.mapping._seeding import seed as seed
+from sfgs_jax.slam.mapping._seeding import uncovered as uncovered
+from sfgs_jax.slam.mapping._view_choice import view_is_due as view_is_due
+from sfgs_jax.slam.mapping._view_choice import view_of as view_of

@@ -1,0 +1,145 @@
+"""Map step: one rendering of one view, one step of Adam."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jaxtyping import Array, Bool, Float, Int, UInt8
+
+from sfgs_jax.geometry import Camera
+from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
+from sfgs_jax.slam.mapping._seeding import uncovered
+from sfgs_jax.slam.state._gaussian_map import GaussianMap, Parameters, parameters, with_parameters
+from sfgs_jax.splatting import RenderConfig, RenderOutput, l1, render, ssim
+
+_BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
+_MIN_ALPHA = 0.5
+"""Accumulated opacity below which the map's depth says nothing about where its Gaussians should be."""
+
+
+def mapping_loss(
+    out: RenderOutput, rgb: Float[Array, "h w 3"], depth: Float[Array, "h w"], config: OptimisationConfig
+) -> Float[Array, ""]:
+    """Loss of GS-ICP-SLAM: (1 - w) L1 + w (1 - SSIM) + w_depth L1(depth), the depth where it is measured.
+
+    Args:
+        out: the map as the view's camera sees it.
+        rgb: the view's colours in [0, 1].
+        depth: of the view, metres; 0 where missing.
+        config: weights.
+    """
+    colour = (1 - config.ssim_weight) * l1(out.rgb, rgb) + config.ssim_weight * (1 - ssim(out.rgb, rgb))
+    measured = (depth > 0) & (out.alpha > _MIN_ALPHA)
+    return colour + config.depth_weight * l1(out.depth, depth, measured)
+
+
+class MapParams(eqx.Module):
+    """Parameters of a map step; all but the camera are static.
+
+    Attributes:
+        camera: intrinsics of the views.
+        config: loss and learning rates.
+        seeding: settings that say where the map lacks surface.
+        pair_capacity: pairs of tile and Gaussian that a rendering has room for.
+    """
+
+    camera: Camera
+    config: OptimisationConfig = eqx.field(static=True)
+    seeding: SeedingConfig = eqx.field(static=True)
+    pair_capacity: int = eqx.field(static=True)
+
+
+class MapStep(NamedTuple):
+    """Result of a map step.
+
+    Attributes:
+        map: after the step.
+        loss: before it.
+        missing: (h, w) pixels whose surface the map lacked before it.
+        overflow: pairs that did not fit. Where it is not 0 the rendering was incomplete; repeat the step with
+            more room.
+    """
+
+    map: GaussianMap
+    loss: Float[Array, ""]
+    missing: Bool[Array, "h w"]
+    overflow: Int[Array, ""]
+
+
+@jax.jit
+def map_step(
+    params: MapParams,
+    gaussian_map: GaussianMap,
+    rgb: UInt8[Array, "h w 3"],
+    depth: Float[Array, "h w"],
+    T_world_cam: jaxlie.SE3,
+) -> MapStep:
+    """One step of Adam on the Gaussians that a view sees; a pure function, compiled once per map capacity.
+
+    Each Gaussian counts its own steps. One that was set late starts with Adam's bias correction, and one out
+    of view keeps its place and its moments. The step's rendering also tells where the map lacks the view's
+    surface.
+
+    Args:
+        params: parameters of mapping.
+        gaussian_map: before the step.
+        rgb: the view's colours, 0 to 255.
+        depth: of the view, metres; 0 where missing.
+        T_world_cam: pose of the view.
+    """
+    colours = rgb.astype(jnp.float32) / 255
+    config = RenderConfig(pair_capacity=params.pair_capacity)
+
+    def loss_of(values: Parameters) -> tuple[Array, tuple[Array, Array]]:
+        gaussians = with_parameters(gaussian_map.gaussians, values)
+        out = render(gaussians, params.camera, T_world_cam, config=config)
+        loss = mapping_loss(out, colours, depth, params.config)
+        return loss, (uncovered(out, depth, params.seeding), out.overflow)
+
+    values = parameters(gaussian_map.gaussians)
+    (loss, (missing, overflow)), gradients = jax.value_and_grad(loss_of, has_aux=True)(values)
+    return MapStep(_adam(gaussian_map, gradients, params.config), loss, missing, overflow)
+
+
+def _adam(gaussian_map: GaussianMap, gradients: Parameters, config: OptimisationConfig) -> GaussianMap:
+    """The map after a step of Adam on the Gaussians that have a gradient (Kingma and Ba, ICLR 2015)."""
+    values = parameters(gaussian_map.gaussians)
+    seen = gaussian_map.gaussians.valid & jnp.any(gradients["means"] != 0, axis=-1)
+    updates = gaussian_map.updates + seen.astype(jnp.float32)
+    first, second, moved = {}, {}, {}
+    for name, gradient in gradients.items():
+        here = seen.reshape(seen.shape + (1,) * (gradient.ndim - 1))
+        count = jnp.maximum(updates, 1).reshape(here.shape)
+        rate = getattr(config.learning_rates, name)
+        m = _BETA1 * gaussian_map.first_moment[name] + (1 - _BETA1) * gradient
+        v = _BETA2 * gaussian_map.second_moment[name] + (1 - _BETA2) * gradient**2
+        step = (m / (1 - _BETA1**count)) / (jnp.sqrt(v / (1 - _BETA2**count)) + _EPSILON)
+        moved[name] = jnp.where(here, values[name] - rate * step, values[name])
+        first[name] = jnp.where(here, m, gaussian_map.first_moment[name])
+        second[name] = jnp.where(here, v, gaussian_map.second_moment[name])
+    return GaussianMap(
+        gaussians=with_parameters(gaussian_map.gaussians, moved),
+        first_moment=first,
+        second_moment=second,
+        updates=updates,
+        keyframes=gaussian_map.keyframes,
+    )
+
+
+@partial(jax.jit, static_argnames="min_opacity")
+def prune(gaussian_map: GaussianMap, min_opacity: float) -> GaussianMap:
+    """The map without the Gaussians that are transparent or not finite.
+
+    Args:
+        gaussian_map: before.
+        min_opacity: opacity below which a Gaussian is removed.
+    """
+    gaussians = gaussian_map.gaussians
+    finite = jnp.ones_like(gaussians.valid)
+    for value in parameters(gaussians).values():
+        finite &= jnp.all(jnp.isfinite(value.reshape(value.shape[0], -1)), axis=-1)
+    keep = gaussians.valid & finite & (jax.nn.sigmoid(gaussians.opacity_logits) >= min_opacity)
+    return eqx.tree_at(lambda m: m.gaussians.valid, gaussian_map, keep)

@@ -1,0 +1,217 @@
+"""Map workers: own a run's map while it lives, in the run's own thread or in another."""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.slam.mapping._map_update import (
+    follow_keyframes,
+    insert_view,
+    map_frame,
+    optimise_once,
+)
+from sfgs_jax.slam.state._map_state import MapState, View
+from sfgs_jax.slam.state._slam_state import SlamState
+from sfgs_jax.slam.state._step_info import Stages
+
+_T = TypeVar("_T")
+
+Spill = Callable[[MapState], MapState]
+"""Puts the images of old views on disk; the identity keeps them in memory."""
+
+MAX_KEYFRAMES_WAITING = 2
+"""Views of keyframes beyond which a thread does not wait until the tracker is idle."""
+MAX_VIEWS_WAITING = 64
+"""Ordinary views that wait; beyond them the oldest is dropped, as a similar one came soon after it."""
+
+
+@runtime_checkable
+class MapWorker(Protocol):
+    """Owner of a run's map."""
+
+    @property
+    def mapping(self) -> MapState:
+        """The map by now."""
+        ...
+
+    def frames(self, frames: Iterable[_T]) -> Iterator[_T]:
+        """The frames of the run, watched for when the tracker is idle."""
+        ...
+
+    def learn(self, state: SlamState, view: View | None) -> float:
+        """Take the keyframes' poses and a view after a tracked frame; the loss if it is known at once."""
+        ...
+
+    def stop(self) -> MapState:
+        """Finish the views that were handed over; the map."""
+        ...
+
+
+class InlineMapWorker:
+    """Maps in the run's own thread, between two frames; a run repeats itself to the bit."""
+
+    def __init__(self, state: SlamState, stages: Stages, spill: Spill) -> None:
+        """Take over a map.
+
+        Args:
+            state: the run so far.
+            stages: times the stages `view` and `mapping`.
+            spill: puts the images of old views on disk.
+        """
+        self._mapping, self._stages, self._spill = state.mapping, stages, spill
+
+    @property
+    def mapping(self) -> MapState:
+        """The map by now."""
+        return self._mapping
+
+    def frames(self, frames: Iterable[_T]) -> Iterator[_T]:
+        """The frames as they are."""
+        yield from frames
+
+    def learn(self, state: SlamState, view: View | None) -> float:
+        """Insert the view and do the frame's map steps.
+
+        Args:
+            state: after a tracked frame.
+            view: of that frame, if it is one.
+        """
+        mapping, loss = map_frame(self._mapping, state, view, stages=self._stages)
+        self._mapping = self._spill(mapping)
+        return loss
+
+    def stop(self) -> MapState:
+        """The map."""
+        return self._mapping
+
+
+class ThreadedMapWorker:
+    """Maps in a thread of its own, in the time that tracking leaves.
+
+    It inserts one view or does one map step at a time. It begins only while the tracker waits for a frame,
+    because views can wait longer than frames.
+    """
+
+    def __init__(
+        self,
+        state: SlamState,
+        stages: Stages,
+        spill: Spill,
+        *,
+        max_views_waiting: int = MAX_VIEWS_WAITING,
+    ) -> None:
+        """Start the thread.
+
+        Args:
+            state: the run so far; its settings, camera and map are taken.
+            stages: times the stages `view` and `mapping`.
+            spill: puts the images of old views on disk.
+            max_views_waiting: ordinary views that wait before the oldest is dropped.
+        """
+        self._config, self._camera = state.config, state.mapping_camera
+        self._stages, self._spill = stages, spill
+        self._mapping = state.mapping
+        self._changed = threading.Condition()
+        self._keyframe_poses = state.graph.poses
+        self._keyframe_views: deque[View] = deque()
+        self._other_views: deque[View] = deque(maxlen=max_views_waiting)
+        self._idle, self._ended = True, False
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name="mapper", daemon=True)
+        self._thread.start()
+
+    @property
+    def mapping(self) -> MapState:
+        """The map by now."""
+        return self._mapping
+
+    def frames(self, frames: Iterable[_T]) -> Iterator[_T]:
+        """The frames; work begins only while one is waited for."""
+        for frame in frames:
+            self._tell(idle=False)
+            yield frame
+            self._tell(idle=True)
+
+    def learn(self, state: SlamState, view: View | None) -> float:
+        """Hand over the keyframes' poses, and a view if there is one.
+
+        Args:
+            state: after a tracked frame.
+            view: of that frame, if it is one.
+
+        Returns:
+            NaN: the loss is not known yet.
+
+        Raises:
+            BaseException: the error that ended the thread, if one did.
+        """
+        if self._failure is not None:
+            raise self._failure
+        with self._changed:
+            self._keyframe_poses = state.graph.poses
+            if view is not None:
+                # Keyframes show what the map lacks, so they go first.
+                is_keyframe = state.graph.keyframes[view.keyframe].frame == view.frame
+                (self._keyframe_views if is_keyframe else self._other_views).append(view)
+            self._changed.notify()
+        return float("nan")
+
+    def stop(self) -> MapState:
+        """End the thread after the views that were handed over; the map.
+
+        Raises:
+            BaseException: the error that ended the thread, if one did.
+        """
+        self._tell(ended=True)
+        self._thread.join()
+        if self._failure is not None:
+            raise self._failure
+        return self._mapping
+
+    def _tell(self, *, idle: bool = True, ended: bool = False) -> None:
+        with self._changed:
+            self._idle, self._ended = idle, ended
+            self._changed.notify()
+
+    def _work(self) -> None:
+        try:
+            while True:
+                with self._changed:
+                    self._changed.wait_for(self._may_begin)
+                    poses = self._keyframe_poses
+                    waiting = self._keyframe_views or self._other_views
+                    view = waiting.popleft() if waiting else None
+                if view is not None:
+                    self._insert(view, poses)
+                elif self._ended:
+                    return
+                else:
+                    self._optimise(poses)
+        except BaseException as error:
+            self._failure = error
+
+    def _may_begin(self) -> bool:
+        if self._ended or len(self._keyframe_views) > MAX_KEYFRAMES_WAITING:
+            return True
+        return self._idle and bool(self._keyframe_views or self._other_views or self._mapping.views)
+
+    def _insert(self, view: View, keyframe_poses: Float[np.ndarray, "n 7"]) -> None:
+        with self._stages("view"):
+            mapping = follow_keyframes(self._mapping, keyframe_poses)
+            mapping, _ = insert_view(mapping, view, self._camera, self._config.mapping)
+            self._mapping = self._spill(mapping)
+
+    def _optimise(self, keyframe_poses: Float[np.ndarray, "n 7"]) -> None:
+        config = self._config.mapping
+        with self._stages("mapping"):
+            self._mapping, _ = optimise_once(
+                follow_keyframes(self._mapping, keyframe_poses),
+                self._camera,
+                config,
+                newest_share=config.newest_share,
+                seed=self._config.seed,
+            )

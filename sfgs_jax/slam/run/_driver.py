@@ -1,0 +1,269 @@
+"""The driver: runs the steps over a source of frames and keeps what they found."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.geometry import Camera, Frame, Trajectory
+from sfgs_jax.slam._init import init
+from sfgs_jax.slam.config import SlamConfig
+from sfgs_jax.slam.mapping import (
+    InlineMapWorker,
+    MapWorker,
+    ThreadedMapWorker,
+    follow_keyframes,
+    optimise_once,
+)
+from sfgs_jax.slam.run._stopwatch import Stopwatch
+from sfgs_jax.slam.run._storage import load, save, saved_facts, spill, spill_views
+from sfgs_jax.slam.run._warm_up import warm_up
+from sfgs_jax.slam.state import MapState, SlamState, StepInfo
+from sfgs_jax.slam.step import follow
+from sfgs_jax.splatting import Gaussians
+
+Frames = Iterable[tuple[int, Frame | FrameError]]
+
+
+@dataclass
+class Progress:
+    """Report to an observer after every frame and every final map step.
+
+    Attributes:
+        stage: "frames" or "refinement".
+        done: frames or steps so far.
+        num_gaussians: size of the map.
+        skipped: the frame's error, if it could not be decoded.
+        info: what the step did, if there was one.
+        run: the run so far.
+    """
+
+    stage: str
+    done: int
+    num_gaussians: int
+    skipped: FrameError | None
+    info: StepInfo | None
+    run: "Run"
+
+
+@dataclass
+class Run:
+    """A run so far, from which the output files are made.
+
+    Attributes:
+        state: the state after the newest frame.
+        num_frames: frames that were offered, those that could not be decoded included.
+        num_skipped: frames that could not be decoded.
+        num_dropped: frames that came while another was being tracked, in real time.
+        num_refined: map steps done after the last frame.
+        interrupted: whether it was ended before its source was.
+        stopwatch: times of its stages.
+    """
+
+    state: SlamState
+    num_frames: int = 0
+    num_skipped: int = 0
+    num_dropped: int = 0
+    num_refined: int = 0
+    interrupted: bool = False
+    stopwatch: Stopwatch = field(default_factory=Stopwatch)
+
+    @property
+    def config(self) -> SlamConfig:
+        """Settings of the run."""
+        return self.state.config
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses of the tracked frames, by where the graph has their keyframes now."""
+        return self.state.trajectory
+
+    @property
+    def keyframe_trajectory(self) -> Trajectory:
+        """Poses of the frames that the map was made from."""
+        views = sorted(view.frame for view in self.state.mapping.views)
+        return self.trajectory[self.state.log.positions(views)]
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The map."""
+        return self.state.gaussians
+
+
+class TooManySkipped(InputError):
+    """Too many frames could not be decoded.
+
+    Attributes:
+        run: what was found before.
+    """
+
+    def __init__(self, message: str, run: Run) -> None:
+        super().__init__(message)
+        self.run = run
+
+
+def save_run(run: Run, folder: Path | str) -> None:
+    """Write a run, to go on with after `load_run`.
+
+    Args:
+        run: the run.
+        folder: made if it is not there; it belongs to one run.
+
+    Raises:
+        OSError: a file can't be written.
+    """
+    save(
+        run.state,
+        folder,
+        num_frames=run.num_frames,
+        num_skipped=run.num_skipped,
+        num_dropped=run.num_dropped,
+        num_refined=run.num_refined,
+    )
+
+
+def load_run(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -> Run:
+    """A run that was saved; its stopwatch starts anew.
+
+    Args:
+        folder: where `save_run` wrote.
+        config: settings of the run that was saved.
+        camera: its camera, to make sure that it is the same; not compared if not given.
+
+    Raises:
+        InputError: as by `load`.
+    """
+    facts = saved_facts(folder)
+    return Run(
+        load(folder, config, camera),
+        num_frames=facts["num_frames"],
+        num_skipped=facts["num_skipped"],
+        num_dropped=facts["num_dropped"],
+        num_refined=facts["num_refined"],
+    )
+
+
+def _ignore(progress: Progress) -> None:
+    pass
+
+
+def run(
+    frames: Frames,
+    camera: Camera,
+    config: SlamConfig,
+    *,
+    observer: Callable[[Progress], None] = _ignore,
+    storage: Path | None = None,
+    resumed: Run | None = None,
+    realtime: bool = False,
+) -> Run:
+    """Track and map a source of frames.
+
+    An interruption (KeyboardInterrupt) ends the run early; the result so far is returned all the same.
+
+    Args:
+        frames: numbers and frames, or the error of a frame that could not be decoded.
+        camera: intrinsics of the frames.
+        config: settings.
+        observer: called after every frame and final step.
+        storage: folder for the images of old keyframes and views; without one they stay in memory.
+        resumed: a run to go on with; `frames` begin where it stopped.
+        realtime: map in a thread of its own, in the time that tracking leaves. Otherwise each frame and each
+            view has its number of map steps, and a run repeats itself to the bit.
+
+    Raises:
+        TooManySkipped: too many frames could not be decoded; it carries the run so far.
+        InputError: the resumed run had another camera or other settings.
+    """
+    result = resumed or Run(init(camera, config))
+    _check_resumed(result, camera, config)
+    with result.stopwatch("compilation"):
+        warm_up(camera, config)
+    kept = config.mapping.views_in_memory
+
+    def spill_map(mapping: MapState) -> MapState:
+        return mapping if storage is None else spill_views(mapping, storage, kept)
+
+    kind = ThreadedMapWorker if realtime else InlineMapWorker
+    worker = kind(result.state, result.stopwatch, spill_map)
+    try:
+        for number, frame in worker.frames(frames):
+            info = _advance(result, number, frame, worker, storage)
+            skipped = frame if isinstance(frame, FrameError) else None
+            gaussians = result.state.mapping.num_gaussians
+            observer(Progress("frames", result.num_frames, gaussians, skipped, info, result))
+            _check_skipped(result)
+        _end_mapping(result, worker)
+        _refine(result, observer)
+    except KeyboardInterrupt:
+        result.interrupted = True
+        _end_mapping(result, worker)
+    except BaseException:
+        worker.stop()
+        raise
+    return result
+
+
+def _check_resumed(run: Run, camera: Camera, config: SlamConfig) -> None:
+    same = camera.shape == run.state.camera.shape and np.allclose(
+        camera.matrix(), run.state.camera.matrix(), rtol=1e-6
+    )
+    if not same:
+        raise InputError("The run was started with another camera; resume it with that one.")
+    if config != run.config:
+        raise InputError("The run was started with other settings; resume it with those.")
+
+
+def _advance(
+    run: Run, number: int, frame: Frame | FrameError, worker: MapWorker, storage: Path | None
+) -> StepInfo | None:
+    state, info = run.state, None
+    if not isinstance(frame, FrameError):
+        with run.stopwatch("frame"):
+            state, info, view = follow(state, frame, number=number, stages=run.stopwatch)
+            if info.tracked:
+                info = info._replace(loss=worker.learn(state, view))
+        state = replace(state, mapping=worker.mapping)
+        if storage is not None:
+            state = spill(state, storage)
+    # All at once, so that an interruption finds the frame either done or not begun. Numbers that were left
+    # out are frames that came too fast.
+    run.state = state
+    run.num_skipped += info is None
+    run.num_dropped += number - run.num_frames
+    run.num_frames = number + 1
+    return info
+
+
+def _end_mapping(run: Run, worker: MapWorker) -> None:
+    """The state with the worker's map, where the keyframes are now."""
+    mapping = worker.stop()
+    if run.state.graph.keyframes:
+        mapping = follow_keyframes(mapping, run.state.graph.poses)
+    run.state = replace(run.state, mapping=mapping)
+
+
+def _refine(run: Run, observer: Callable[[Progress], None]) -> None:
+    state, config = run.state, run.config
+    if not state.mapping.views:
+        return
+    while run.num_refined < config.mapping.final_steps:
+        with run.stopwatch("refinement"):
+            mapping, _ = optimise_once(
+                run.state.mapping, state.mapping_camera, config.mapping, newest_share=0.0, seed=config.seed
+            )
+        run.state = replace(run.state, mapping=mapping)
+        run.num_refined += 1
+        observer(Progress("refinement", run.num_refined, mapping.num_gaussians, None, None, run))
+
+
+def _check_skipped(run: Run) -> None:
+    limit = run.config.max_skipped_fraction
+    if run.num_skipped > max(4, limit * run.num_frames):
+        raise TooManySkipped(
+            f"{run.num_skipped} of {run.num_frames} frames could not be decoded, more than the share "
+            f"{limit:g} that max_skipped_fraction allows: the recording is damaged or not what it seems.",
+            run,
+        )

@@ -1,0 +1,135 @@
+"""The folder a run writes: trajectory, keyframes, map, metrics, configuration."""
+
+import json
+import platform
+import resource
+import shutil
+import sys
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+
+from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.geometry import format_tum
+from sfgs_jax.slam.run._driver import Run
+from sfgs_jax.splatting import save_ply
+
+OUTPUT_FILES = (
+    "trajectory.txt",
+    "keyframes.txt",
+    "map.ply",
+    "metrics.json",
+    "config.json",
+    "report.html",
+    "run.log",
+)
+"""Everything a run writes, and all that --overwrite replaces."""
+
+
+STORAGE = "state"
+"""Folder within the run's own, for what it goes on from after a stop; removed at its end."""
+
+
+def prepare_folder(folder: Path, *, overwrite: bool) -> None:
+    """Make the output folder and make sure, before any work is done, that it can be written.
+
+    Args:
+        folder: where the run will write.
+        overwrite: whether an earlier run's files there may be replaced; other files are left alone.
+
+    Raises:
+        InputError: it is not empty, not a folder, or can't be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        present = sorted(path.name for path in folder.iterdir())
+        if present and not overwrite:
+            raise InputError(
+                f"The output folder {folder} is not empty (it holds {present[0]}): choose another with "
+                "--out, or pass --overwrite to replace an earlier run."
+            )
+        for name in OUTPUT_FILES:
+            (folder / name).unlink(missing_ok=True)
+        shutil.rmtree(folder / STORAGE, ignore_errors=True)
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(b"\0")
+    except OSError as error:
+        raise InputError(
+            f"The output folder {folder} cannot be written ({error.strerror}): choose another with --out."
+        ) from error
+
+
+def write_run(run: Run, folder: Path) -> None:
+    """Write `trajectory.txt`, `keyframes.txt`, `metrics.json` and `map.ply`, the smallest first.
+
+    Raises:
+        OSError: a file can't be written, for instance because the disk is full; those before it are whole.
+    """
+    write_trajectories(run, folder)
+    write_atomically(folder / "metrics.json", json.dumps(run_metrics(run), indent=2) + "\n")
+    save_ply(folder / "map.ply", run.gaussians)
+
+
+def write_trajectories(run: Run, folder: Path) -> None:
+    """Write `trajectory.txt` and `keyframes.txt`; cheap enough to be done again and again during a run."""
+    write_atomically(folder / "trajectory.txt", format_tum(run.trajectory))
+    write_atomically(folder / "keyframes.txt", format_tum(run.keyframe_trajectory))
+
+
+def run_metrics(run: Run) -> dict[str, object]:
+    """Counts, times and memory of a run; the evaluation adds metrics that need ground truth or images."""
+    stages = run.stopwatch.summary()
+    gaussians = run.gaussians
+    used = run.state.mapping.num_gaussians
+    slots = gaussians.valid.shape[0]
+    size = sum(leaf.nbytes for leaf in jax.tree.leaves(gaussians)) // slots * used
+    tracking = run.stopwatch.total("tracking")
+    state = run.state
+    tracked = len(state.log.timestamps)
+    return {
+        "frames": {
+            "total": run.num_frames,
+            "tracked": tracked,
+            "skipped": run.num_skipped,
+            "dropped": run.num_dropped,
+            "lost": state.num_lost,
+            "keyframes": len(state.graph.keyframes),
+            "views": len(state.mapping.views),
+            "interrupted": run.interrupted,
+        },
+        "fps": {
+            "tracking": round(1e3 / stages["tracking"]["median_ms"], 2) if tracking else 0.0,
+            "frames": round(_rate(stages["frame"]), 2) if tracking else 0.0,
+            "overall": round(run.num_frames / run.stopwatch.elapsed, 2),
+        },
+        "stages": stages,
+        "map": {"gaussians": used, "bytes": size, "dropped": state.mapping.dropped_seeds},
+        "memory": {"peak_mb": round(peak_memory_mb(), 1)},
+        "loops": {"accepted": len(state.graph.loops)},
+        "versions": versions(),
+    }
+
+
+def _rate(stage: dict[str, float]) -> float:
+    """Rate of a stage per second; the first time is left out where there are others."""
+    if stage["count"] == 1:
+        return 1e3 / stage["first_ms"]
+    return (stage["count"] - 1) / (stage["total_s"] - stage["first_ms"] / 1e3)
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far, MiB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    packages = ("sfgs-jax", "jax", "jaxlib", "numpy", "opencv-python-headless")
+    return {name: version(name) for name in packages} | {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "device": jax.devices()[0].device_kind,
+    }

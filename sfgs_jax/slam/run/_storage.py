@@ -1,0 +1,251 @@
+"""A state on disk: to save, to go on from, and to keep old images out of memory.
+
+The images of keyframes and views never change. Each is written once, to a file of its own, and read back by
+mapping that file into memory. The rest is one file, written anew each time, which names every array.
+"""
+
+import dataclasses
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.slam._init import init
+from sfgs_jax.slam.config import SlamConfig
+from sfgs_jax.slam.frontend import feature_shapes
+from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
+from sfgs_jax.slam.state import Edge, Keyframe, MapState, SlamState, View
+
+STATE_FILE = "state.safetensors"
+FORMAT_VERSION = 2
+_FORMER_STATE_FILE = "state.arrays"
+"""Written by version 0.1.0, whose arrays had no names."""
+
+_T = TypeVar("_T")
+
+
+def save(state: SlamState, folder: Path | str, **facts: int) -> None:
+    """Write a state; `load` gives it back. Images that are on disk already are not written again.
+
+    Args:
+        state: the state to save.
+        folder: made if it is not there; it belongs to one run.
+        facts: numbers to keep with it, for `saved_facts`.
+
+    Raises:
+        OSError: a file can't be written.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    for i, keyframe in enumerate(state.graph.keyframes):
+        _write_once(_image_file(folder, "keyframe", i), keyframe.features)
+    for i, view in enumerate(state.mapping.views):
+        _write_once(_image_file(folder, "view", i), (view.rgb, view.depth))
+    counts = {
+        "keyframes": len(state.graph.keyframes),
+        "edges": len(state.graph.edges),
+        "pending": len(state.graph.pending),
+        "candidates": len(state.graph.candidates),
+        "views": len(state.mapping.views),
+    }
+    metadata = {
+        "version": str(FORMAT_VERSION),
+        "config": _config_text(state.config),
+        "size": json.dumps([state.camera.width, state.camera.height]),
+        "counts": json.dumps(counts),
+        "facts": json.dumps(facts),
+    }
+    write_tensors(folder / STATE_FILE, _named(_without_images(state)), metadata)
+
+
+def saved_facts(folder: Path | str) -> dict[str, int]:
+    """The numbers that were given to `save`. Raises InputError as `load` does.
+
+    Args:
+        folder: where `save` wrote.
+    """
+    return json.loads(_read_state(Path(folder))[1]["facts"])
+
+
+def load(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -> SlamState:
+    """A state that was saved.
+
+    Args:
+        folder: where `save` wrote.
+        config: settings of the run that was saved.
+        camera: its camera, to make sure that it is the same; not compared if not given.
+
+    Raises:
+        InputError: there is no state, it is damaged, of another version, or was saved with other settings or
+            another camera.
+    """
+    folder = Path(folder)
+    tensors, metadata = _read_state(folder)
+    if metadata["config"] != _config_text(config):
+        raise InputError(f"{folder} holds a state that was saved with other settings.")
+    template = _template(metadata, config)
+    rest = _filled(template, tensors, folder)
+    if camera is not None and not _same_camera(camera, rest.camera):
+        raise InputError(f"{folder} holds a state that was saved with another camera.")
+    shapes = feature_shapes(rest.params)
+    keyframes = tuple(
+        replace(keyframe, features=_read_images(_image_file(folder, "keyframe", i), shapes))
+        for i, keyframe in enumerate(rest.graph.keyframes)
+    )
+    views = []
+    for i, view in enumerate(rest.mapping.views):
+        rgb, depth = _read_images(_image_file(folder, "view", i), (0, 0))
+        views.append(replace(view, rgb=rgb, depth=depth))
+    return replace(
+        rest,
+        graph=replace(rest.graph, keyframes=keyframes),
+        mapping=replace(rest.mapping, views=tuple(views)),
+    )
+
+
+def spill(state: SlamState, folder: Path) -> SlamState:
+    """The state with the images of all but the newest keyframes on disk, not in memory.
+
+    Args:
+        state: before.
+        folder: made if it is not there; it belongs to one run.
+    """
+    keyframes = list(state.graph.keyframes)
+    kept = state.config.mapping.views_in_memory
+    for i in _in_memory(keyframes, kept, lambda k: k.features.keypoints.depth):
+        path = _image_file(folder, "keyframe", i)
+        _write_once(path, keyframes[i].features)
+        keyframes[i] = replace(keyframes[i], features=_read_images(path, keyframes[i].features))
+    return replace(state, graph=replace(state.graph, keyframes=tuple(keyframes)))
+
+
+def spill_views(mapping: MapState, folder: Path, kept: int) -> MapState:
+    """The map state with the images of all but the newest views on disk, not in memory.
+
+    Args:
+        mapping: before.
+        folder: made if it is not there; it belongs to one run.
+        kept: newest views that stay in memory.
+    """
+    views = list(mapping.views)
+    for i in _in_memory(views, kept, lambda v: v.rgb):
+        path = _image_file(folder, "view", i)
+        _write_once(path, (views[i].rgb, views[i].depth))
+        rgb, depth = _read_images(path, (0, 0))
+        views[i] = replace(views[i], rgb=rgb, depth=depth)
+    return replace(mapping, views=tuple(views))
+
+
+def _in_memory(items: list[Any], kept: int, leaf: Any) -> list[int]:
+    """Indices of the older items that are still in memory."""
+    return [i for i in range(len(items) - kept) if not isinstance(leaf(items[i]), np.memmap)]
+
+
+def _image_file(folder: Path, kind: str, number: int) -> Path:
+    return folder / f"{kind}-{number:06d}.safetensors"
+
+
+def _write_once(path: Path, images: Any) -> None:
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_tensors(path, _named(images), {})
+
+
+def _read_images(path: Path, like: _T) -> _T:
+    tensors, _ = read_tensors(path)
+    names = list(_named(like))
+    if set(names) != set(tensors):
+        raise InputError(f"{path} holds other images than this run's.")
+    return jax.tree.unflatten(jax.tree.structure(like), [tensors[name] for name in names])
+
+
+def _named(tree: Any) -> dict[str, Any]:
+    """The leaves of a tree by their key paths."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
+    return {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
+
+
+def _without_images(state: SlamState) -> SlamState:
+    keyframes = tuple(_bare_keyframe(k) for k in state.graph.keyframes)
+    views = tuple(_bare_view(v) for v in state.mapping.views)
+    return replace(
+        state,
+        graph=replace(state.graph, keyframes=keyframes),
+        mapping=replace(state.mapping, views=views),
+    )
+
+
+def _read_state(folder: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    if (folder / _FORMER_STATE_FILE).exists() and not (folder / STATE_FILE).exists():
+        raise InputError(f"{folder} holds a state of an earlier version of sfgs_jax: start the run anew.")
+    tensors, metadata = read_tensors(folder / STATE_FILE)
+    if metadata.get("version") != str(FORMAT_VERSION):
+        raise InputError(
+            f"{folder} holds a state of format {metadata.get('version')}, this version reads format "
+            f"{FORMAT_VERSION}: start the run anew."
+        )
+    return tensors, metadata
+
+
+def _filled(template: SlamState, tensors: dict[str, np.ndarray], folder: Path) -> SlamState:
+    """The template with the arrays of a file, matched by name and kind."""
+    expected = _named(template)
+    for name in sorted(set(expected) ^ set(tensors)):
+        known = "lacks" if name in expected else "holds an unknown"
+        raise InputError(f"The state in {folder} {known} array {name}: it is of another version.")
+    leaves = []
+    for name, kind in expected.items():
+        if tensors[name].dtype != np.asarray(kind).dtype:
+            raise InputError(f"The state in {folder} holds {name} as {tensors[name].dtype}: it is damaged.")
+        leaves.append(_like(tensors[name], kind))
+    return jax.tree.unflatten(jax.tree.structure(template), leaves)
+
+
+def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
+    """A state of the same structure; its leaves tell arrays, numbers and flags apart."""
+    width, height = json.loads(metadata["size"])
+    zero, counts = jnp.zeros(()), json.loads(metadata["counts"])
+    state = init(Camera(zero, zero, zero, zero, width=width, height=height), config)
+    motion, matrix = np.zeros(7, np.float32), np.zeros((6, 6), np.float32)
+    edge = Edge(0, 0, motion, matrix, matrix, False, False)
+    shapes = feature_shapes(state.params)
+    keyframe = _bare_keyframe(Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion))
+    view = _bare_view(View(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32), 0, se3.identity(), 0))
+    graph = replace(
+        state.graph,
+        keyframes=(keyframe,) * counts["keyframes"],
+        edges=(edge,) * counts["edges"],
+        pending=((0, 0),) * counts["pending"],
+        candidates=(edge,) * counts["candidates"],
+    )
+    return replace(state, graph=graph, mapping=replace(state.mapping, views=(view,) * counts["views"]))
+
+
+def _bare_keyframe(keyframe: Keyframe) -> Keyframe:
+    return eqx.tree_at(lambda k: k.features, keyframe, None)
+
+
+def _bare_view(view: View) -> View:
+    return eqx.tree_at(lambda v: (v.rgb, v.depth), view, (None, None))
+
+
+def _like(value: np.ndarray, kind: Any) -> Any:
+    """A leaf of its former kind: Python numbers are static to compiled programs, arrays are not."""
+    if isinstance(kind, bool | int | float):
+        return type(kind)(value)
+    return np.array(value) if isinstance(kind, np.ndarray) else jnp.asarray(value)
+
+
+def _same_camera(a: Camera, b: Camera) -> bool:
+    return a.shape == b.shape and bool(np.allclose(a.matrix(), b.matrix(), rtol=1e-6))
+
+
+def _config_text(config: SlamConfig) -> str:
+    return json.dumps(dataclasses.asdict(config), sort_keys=True)

@@ -1,0 +1,60 @@
+"""Warm-up: compile the programs of a run before the first frame waits for them."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from sfgs_jax.geometry import Camera, Frame, se3
+from sfgs_jax.slam._init import init
+from sfgs_jax.slam.config import SlamConfig
+from sfgs_jax.slam.frontend import Localised, place, register, search_by_surface
+from sfgs_jax.slam.keyframes import accept_consistent_loops, advance_graph, insert_keyframe
+from sfgs_jax.slam.mapping import prune
+from sfgs_jax.slam.state import SlamState, move, with_graph_poses
+from sfgs_jax.slam.step import step
+
+_DEPTH = 2.0
+"""Depth of the made-up frames, metres."""
+
+
+def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
+    """Compile the programs of a run, those of lost frames, loops and pruning among them.
+
+    Two made-up frames run through the steps. Another call for the same image size and settings takes as long
+    as a few frames.
+
+    Args:
+        camera: intrinsics of the frames.
+        config: settings.
+    """
+    state = init(camera, config)
+    rgb = np.random.default_rng(0).random((*camera.shape, 3), np.float32)
+    for seconds in (0.0, 1.0):
+        frame = Frame(rgb, np.full(camera.shape, _DEPTH, np.float32), seconds)
+        state, _ = step(state, frame)
+    _compile_graph(state)
+    _compile_lost(state)
+    move(state.mapping.map, state.graph.poses[:1], state.graph.poses[:1])
+    jax.block_until_ready(prune(state.mapping.map, state.config.mapping.prune_opacity))
+
+
+def _compile_graph(state: SlamState) -> None:
+    """Insertion of a keyframe, its registration, both optimisations, and loop closure."""
+    config = state.config.graph
+    features = state.graph.keyframes[0].features
+    found = register(state.params, features, features, se3.identity())
+    graph = insert_keyframe(state.graph, features, found, 0, 1, config)
+    graph, _ = advance_graph(state.params, replace(graph, pending=((0, 1),)), config, grown=True)
+    if graph.edges:
+        candidates = graph.edges[:1] * config.loop_support
+        accept_consistent_loops(replace(graph, candidates=candidates), config)
+    with_graph_poses(state.tracker, graph)
+
+
+def _compile_lost(state: SlamState) -> None:
+    """Search by the surface, and what follows when a frame is found again."""
+    features, pose = state.graph.keyframes[0].features, state.graph.poses[0]
+    search_by_surface(state.params, state.tracker, features)
+    found = register(state.params, features, features, se3.identity())
+    place(state.params, state.tracker, features, Localised(0, features, pose, found, False, True))

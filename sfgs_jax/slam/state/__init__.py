@@ -1,0 +1,30 @@
+"""The state of a run: data, and the functions that make it."""
+
+from sfgs_jax.slam.state._frame_features import FrameFeatures as FrameFeatures
+from sfgs_jax.slam.state._frame_features import Keypoints as Keypoints
+from sfgs_jax.slam.state._frame_log import FrameLog as FrameLog
+from sfgs_jax.slam.state._frame_log import empty_log as empty_log
+from sfgs_jax.slam.state._frame_log import trajectory_of as trajectory_of
+from sfgs_jax.slam.state._gaussian_map import GaussianMap as GaussianMap
+from sfgs_jax.slam.state._gaussian_map import empty_map as empty_map
+from sfgs_jax.slam.state._gaussian_map import grow as grow
+from sfgs_jax.slam.state._gaussian_map import move as move
+from sfgs_jax.slam.state._keyframe_graph import Edge as Edge
+from sfgs_jax.slam.state._keyframe_graph import Keyframe as Keyframe
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph as KeyframeGraph
+from sfgs_jax.slam.state._keyframe_graph import empty_graph as empty_graph
+from sfgs_jax.slam.state._map_state import MapState as MapState
+from sfgs_jax.slam.state._map_state import View as View
+from sfgs_jax.slam.state._map_state import empty_map_state as empty_map_state
+from sfgs_jax.slam.state._registration import FeatureRegistration as FeatureRegistration
+from sfgs_jax.slam.state._registration import PoseSource as PoseSource
+from sfgs_jax.slam.state._registration import Registration as Registration
+from sfgs_jax.slam.state._slam_state import SlamState as SlamState
+from sfgs_jax.slam.state._slam_state import mapping_camera as mapping_camera
+from sfgs_jax.slam.state._slam_state import mapping_factor as mapping_factor
+from sfgs_jax.slam.state._step_info import Stages as Stages
+from sfgs_jax.slam.state._step_info import StepInfo as StepInfo
+from sfgs_jax.slam.state._step_info import untimed as untimed
+from sfgs_jax.slam.state._tracker import Tracker as Tracker
+from sfgs_jax.slam.state._tracker import TrackerParams as TrackerParams
+from sfgs_jax.slam.state._tracker import with_graph_poses as with_graph_poses

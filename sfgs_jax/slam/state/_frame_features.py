@@ -1,0 +1,45 @@
+"""Features of a frame: its surface for GICP, and its keypoints with their depth."""
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float
+
+from sfgs_jax import gicp
+from sfgs_jax.superfeats import Features
+
+
+class Keypoints(eqx.Module):
+    """Keypoints of a frame with the depth measured there.
+
+    Attributes:
+        features: positions and descriptors, K slots.
+        depth: (K,) metres along z; 0 where it is missing or the keypoint lies on a depth edge.
+        points: (K, 3) camera coordinates, metres; on the image plane at 1 m where there is no depth.
+        signature: (D,) descriptor of the whole image, of unit length; 0 without keypoints.
+    """
+
+    features: Features
+    depth: Float[Array, " k"]
+    points: Float[Array, "k 3"]
+    signature: Float[Array, " d"]
+
+    @property
+    def measured(self) -> Bool[Array, " k"]:
+        """(K,) slots that hold a keypoint with depth."""
+        return self.features.valid & (self.depth > 0)
+
+
+class FrameFeatures(eqx.Module):
+    """Everything that registration uses of a frame.
+
+    Attributes:
+        cloud: depth pyramid with normals.
+        keypoints: keypoints; no slots at all where they are switched off.
+    """
+
+    cloud: gicp.OrganisedCloud
+    keypoints: Keypoints
+
+    @property
+    def registrable(self) -> Bool[Array, ""]:
+        """True if another frame could be registered to this one."""
+        return self.cloud.levels[0].valid.any() | self.keypoints.measured.any()

@@ -1,0 +1,101 @@
+"""Log of the tracked frames: each one's pose in its keyframe, and from these the trajectory."""
+
+from dataclasses import dataclass
+
+import jaxlie
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from sfgs_jax.arrays import pytree
+from sfgs_jax.geometry import Trajectory, se3
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class FrameLog:
+    """Poses of the tracked frames, each in the keyframe that it was registered to.
+
+    Attributes:
+        timestamps: (n,) seconds, float64.
+        numbers: (n,) of the frames.
+        keyframes: (n,) number of each frame's keyframe.
+        motions: (n, 7) `T_keyframe_cam` as wxyz_xyz.
+    """
+
+    timestamps: Float[np.ndarray, " n"]
+    numbers: Int[np.ndarray, " n"]
+    keyframes: Int[np.ndarray, " n"]
+    motions: Float[np.ndarray, "n 7"]
+
+    def with_frame(self, timestamp: float, number: int, keyframe: int, motion: jaxlie.SE3) -> "FrameLog":
+        """The log with one more frame.
+
+        Args:
+            timestamp: seconds.
+            number: of the frame in its source.
+            keyframe: number of its keyframe.
+            motion: `T_keyframe_cam`.
+        """
+        return FrameLog(
+            np.append(self.timestamps, timestamp),
+            np.append(self.numbers, number),
+            np.append(self.keyframes, keyframe),
+            np.concatenate([self.motions, np.asarray(motion.wxyz_xyz)[None]]),
+        )
+
+    @property
+    def newest(self) -> int:
+        """Number of the last frame; -1 before the first."""
+        return int(self.numbers[-1]) if len(self.numbers) else -1
+
+    def positions(self, numbers: list[int]) -> Int[np.ndarray, " k"]:
+        """Rows of the log that hold the frames of these numbers.
+
+        Args:
+            numbers: of frames, ascending.
+        """
+        return np.flatnonzero(np.isin(self.numbers, numbers))
+
+
+def trajectory_of(log: FrameLog, graph: KeyframeGraph) -> Trajectory:
+    """Poses of the frames of a log, by where their keyframes are now.
+
+    Frames between two keyframes were tracked in the first alone. The graph's correction of the motion between
+    the two is shared out among them, in proportion to their numbers.
+
+    Args:
+        log: the frames.
+        graph: their keyframes.
+    """
+    if not len(log.timestamps):
+        return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+    T = se3.matrices_of(graph.poses)
+    poses = T[log.keyframes] @ se3.matrices_of(log.motions)
+    for reference, number in _successors(graph).items():
+        keyframe = graph.keyframes[number]
+        start, end = graph.keyframes[reference].frame, keyframe.frame
+        between = (log.keyframes == reference) & (log.numbers > start) & (log.numbers < end)
+        tracked = T[reference] @ se3.matrices_of(keyframe.T_reference_keyframe[None])[0]
+        off = np.linalg.inv(tracked) @ T[number]
+        share = (log.numbers[between] - start)[:, None] / (end - start)
+        correction = np.tile(np.eye(4), (len(share), 1, 1))
+        turn = Rotation.from_matrix(off[:3, :3]).as_rotvec()
+        correction[:, :3, :3] = Rotation.from_rotvec(share * turn).as_matrix()
+        correction[:, :3, 3] = share * off[:3, 3]
+        poses[between] = poses[between] @ correction
+    return Trajectory(log.timestamps, poses)
+
+
+def _successors(graph: KeyframeGraph) -> dict[int, int]:
+    """The earliest keyframe that was tracked in each keyframe."""
+    found: dict[int, int] = {}
+    for number, keyframe in enumerate(graph.keyframes[1:], start=1):
+        found.setdefault(keyframe.reference, number)
+    return found
+
+
+def empty_log() -> FrameLog:
+    """The log before the first frame."""
+    return FrameLog(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 7), np.float32))

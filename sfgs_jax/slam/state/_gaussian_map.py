@@ -1,0 +1,104 @@
+"""The map: Gaussians of fixed capacity with the moments of their optimiser."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jax.lax import Precision
+from jaxtyping import Array, Float, Int
+
+from sfgs_jax.arrays import rounded_up
+from sfgs_jax.geometry import se3
+from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, Gaussians
+
+Parameters = dict[str, Array]
+"""The optimised fields of `Gaussians` by name."""
+
+
+_KEYFRAME_BLOCK = 128
+"""Poses are padded to a multiple of this, so that a new keyframe needs no new program."""
+
+
+class GaussianMap(eqx.Module):
+    """Gaussians and what Adam remembers about each.
+
+    Attributes:
+        gaussians: the map, (N,) slots of which `valid` ones are in use.
+        first_moment: Adam's mean gradient of each parameter.
+        second_moment: Adam's mean squared gradient of each parameter.
+        updates: (N,) optimisation steps in which each Gaussian was seen.
+        keyframes: (N,) number of the keyframe that each Gaussian belongs to and moves with.
+    """
+
+    gaussians: Gaussians
+    first_moment: Parameters
+    second_moment: Parameters
+    updates: Float[Array, " n"]
+    keyframes: Int[Array, " n"]
+
+
+def parameters(gaussians: Gaussians) -> Parameters:
+    """The optimised fields by name."""
+    return {name: getattr(gaussians, name) for name in GAUSSIAN_PARAMETERS}
+
+
+def with_parameters(gaussians: Gaussians, values: Parameters) -> Gaussians:
+    """`gaussians` with its optimised fields replaced."""
+    return Gaussians(**values, valid=gaussians.valid)
+
+
+def empty_map(capacity: int) -> GaussianMap:
+    """A map with room for `capacity` Gaussians and none in it."""
+    dtype = jnp.result_type(float)
+    # Made on the host: there, no shape needs a program of its own.
+    zeros = jax.device_put(
+        {name: np.zeros((capacity, *shape), dtype) for name, shape in GAUSSIAN_PARAMETERS.items()}
+    )
+    # Unused slots hold a unit quaternion and a unit scale: finite through every expression.
+    identity = np.tile(np.eye(1, 4, dtype=dtype), (capacity, 1))
+    start = zeros | {"quaternions": jax.device_put(identity)}
+    return GaussianMap(
+        gaussians=Gaussians(**start, valid=jax.device_put(np.zeros(capacity, bool))),
+        first_moment=zeros,
+        second_moment=zeros,
+        updates=jax.device_put(np.zeros(capacity, dtype)),
+        keyframes=jax.device_put(np.zeros(capacity, np.int32)),
+    )
+
+
+def grow(gaussian_map: GaussianMap) -> GaussianMap:
+    """The same map with twice the room; programs over it compile anew."""
+    room = empty_map(gaussian_map.gaussians.valid.shape[0])
+    return jax.tree.map(lambda used, free: jnp.concatenate([used, free]), gaussian_map, room)
+
+
+def move(
+    gaussian_map: GaussianMap, old: Float[np.ndarray, "k 7"], new: Float[np.ndarray, "k 7"]
+) -> GaussianMap:
+    """The map after its keyframes have moved, each Gaussian with its own.
+
+    Args:
+        gaussian_map: the map.
+        old: (k, 7) `T_world_cam` of the keyframes as wxyz_xyz, before.
+        new: the same after.
+    """
+    room = rounded_up(len(old), _KEYFRAME_BLOCK) - len(old)
+    padded = (np.pad(poses, ((0, room), (0, 0)), mode="edge") for poses in (old, new))
+    return _move(gaussian_map, *padded)
+
+
+@jax.jit
+def _move(gaussian_map: GaussianMap, old: Float[Array, "k 7"], new: Float[Array, "k 7"]) -> GaussianMap:
+    moved = se3.compose(jaxlie.SE3(new), se3.inverse(jaxlie.SE3(old)))
+    T = jaxlie.SE3(moved.wxyz_xyz[gaussian_map.keyframes])
+    gaussians = gaussian_map.gaussians
+    rotation = se3.rotation_matrix(T)
+    means = (
+        jnp.einsum("nij,nj->ni", rotation, gaussians.means, precision=Precision.HIGHEST) + T.wxyz_xyz[:, 4:]
+    )
+    return eqx.tree_at(
+        lambda m: (m.gaussians.means, m.gaussians.quaternions),
+        gaussian_map,
+        (means, se3.quaternion_product(T.wxyz_xyz[:, :4], gaussians.quaternions)),
+    )

@@ -1,0 +1,101 @@
+"""The keyframe graph: keyframes as nodes, registrations between them as edges."""
+
+from dataclasses import dataclass
+
+import jaxlie
+import numpy as np
+from jaxtyping import Float, Int
+
+from sfgs_jax.arrays import pytree
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """A frame that others are registered to.
+
+    Attributes:
+        features: its surface and keypoints.
+        landmarks: (K,) number of the landmark that each keypoint shows, -1 where it shows none.
+        frame: number of the frame in its source.
+        reference: number of the keyframe that it was tracked in; its own for the first.
+        T_reference_keyframe: (7,) pose that it was tracked at there, as wxyz_xyz.
+    """
+
+    features: FrameFeatures
+    landmarks: Int[np.ndarray, " k"]
+    frame: int
+    reference: int
+    T_reference_keyframe: Float[np.ndarray, "7"]
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """A registration of one keyframe to another, on the host.
+
+    Attributes:
+        target: number of the keyframe registered to.
+        source: number of the keyframe registered, the later one.
+        T_target_source: (7,) the motion found, as wxyz_xyz.
+        information: (6, 6) of its tangent, by surface and keypoints.
+        surface_information: (6, 6) by the surface alone.
+        revisit: whether it ties a place seen again to the keyframes from before, however small the drift.
+        loop: whether it was accepted by its consistency with other loops.
+    """
+
+    target: int
+    source: int
+    T_target_source: Float[np.ndarray, "7"]
+    information: Float[np.ndarray, "6 6"]
+    surface_information: Float[np.ndarray, "6 6"]
+    revisit: bool
+    loop: bool
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class KeyframeGraph:
+    """Keyframes, their poses, and the registrations between them.
+
+    Attributes:
+        keyframes: nodes, oldest first.
+        poses: (n, 7) their `T_world_cam` as wxyz_xyz, on the host.
+        edges: registrations that were accepted.
+        pending: pairs (target, source) still to be registered, the next one first.
+        candidates: registrations that may be loops, and wait for others that agree.
+        num_landmarks: landmarks numbered so far.
+    """
+
+    keyframes: tuple[Keyframe, ...]
+    poses: Float[np.ndarray, "n 7"]
+    edges: tuple[Edge, ...]
+    pending: tuple[tuple[int, int], ...]
+    candidates: tuple[Edge, ...]
+    num_landmarks: int
+
+    @property
+    def loops(self) -> tuple[Edge, ...]:
+        """Edges that tie a place seen again to the keyframes from before."""
+        return tuple(edge for edge in self.edges if edge.revisit)
+
+    def pose(self, number: int) -> jaxlie.SE3:
+        """`T_world_cam` of a keyframe.
+
+        Args:
+            number: of the keyframe.
+        """
+        return jaxlie.SE3(self.poses[number])
+
+
+def empty_graph() -> KeyframeGraph:
+    """The graph before the first keyframe."""
+    return KeyframeGraph(
+        keyframes=(),
+        poses=np.zeros((0, 7), np.float32),
+        edges=(),
+        pending=(),
+        candidates=(),
+        num_landmarks=0,
+    )

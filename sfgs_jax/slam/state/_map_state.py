@@ -1,0 +1,74 @@
+"""The mapper's part of a run's state: Gaussians, views, and where the keyframes were."""
+
+from dataclasses import dataclass
+
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Float, UInt8
+
+from sfgs_jax.arrays import pytree
+from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.state._gaussian_map import GaussianMap, empty_map
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class View:
+    """Images that the map is optimised against, at the mapping resolution.
+
+    Attributes:
+        rgb: (h, w, 3) colours, 0 to 255.
+        depth: (h, w) metres, 0 where missing.
+        keyframe: number of the keyframe that it belongs to.
+        T_keyframe_cam: its pose there.
+        frame: its number in its source.
+    """
+
+    rgb: UInt8[Array | np.ndarray, "h w 3"]
+    depth: Float[Array | np.ndarray, "h w"]
+    keyframe: int
+    T_keyframe_cam: jaxlie.SE3
+    frame: int
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class MapState:
+    """The map while it grows.
+
+    Attributes:
+        map: the Gaussians and their optimiser.
+        views: images that the map is optimised against, in the order in which they were inserted.
+        keyframe_poses: (n, 7) `T_world_cam` of the keyframes that the Gaussians agree with, as wxyz_xyz.
+        num_steps: map steps done.
+        pair_capacity: pairs of tile and Gaussian that a rendering has room for.
+        dropped_seeds: Gaussians for which the map had no room.
+    """
+
+    map: GaussianMap
+    views: tuple[View, ...]
+    keyframe_poses: Float[np.ndarray, "n 7"]
+    num_steps: int
+    pair_capacity: int
+    dropped_seeds: int
+
+    @property
+    def num_gaussians(self) -> int:
+        """Gaussians in the map."""
+        return int(np.sum(self.map.gaussians.valid))
+
+
+def empty_map_state(config: MappingConfig) -> MapState:
+    """The map before the first frame.
+
+    Args:
+        config: settings.
+    """
+    return MapState(
+        map=empty_map(config.capacity),
+        views=(),
+        keyframe_poses=np.zeros((0, 7), np.float32),
+        num_steps=0,
+        pair_capacity=config.pair_capacity,
+        dropped_seeds=0,
+    )

@@ -1,0 +1,77 @@
+"""Registration of one frame to another: its motion and the evidence for it."""
+
+from enum import IntEnum
+
+import equinox as eqx
+import jax.numpy as jnp
+import jaxlie
+from jaxtyping import Array, Bool, Float, Int
+
+
+class PoseSource(IntEnum):
+    """Residuals that a pose rests on."""
+
+    LOST = 0
+    """None: the registration failed."""
+    JOINT = 1
+    """Keypoints and surface."""
+    SURFACE = 2
+    """GICP alone."""
+    KEYPOINTS = 3
+    """Matched keypoints alone."""
+    MOTION_MODEL = 4
+    """GICP, with the motion model along directions that the surface leaves free."""
+
+
+class FeatureRegistration(eqx.Module):
+    """A motion found from matched keypoints alone, and its matches.
+
+    Attributes:
+        T_target_source: the motion.
+        information: (6, 6) of its tangent (translation first, right perturbation), from the noise of pixels
+            and of inverse depth.
+        index: (K,) the target's slot for each slot of the source.
+        inliers: (K,) matches that the motion explains.
+        num_matches: number of matches.
+        num_inliers: number of inliers among them.
+    """
+
+    T_target_source: jaxlie.SE3
+    information: Float[Array, "6 6"]
+    index: Int[Array, " k"]
+    inliers: Bool[Array, " k"]
+    num_matches: Int[Array, ""]
+    num_inliers: Int[Array, ""]
+
+
+class Registration(eqx.Module):
+    """A motion with the evidence for it.
+
+    Attributes:
+        T_target_source: the motion.
+        surface_information: (6, 6) of its tangent by GICP; 0 where GICP failed.
+        matched: the motion by keypoints alone, and its matches.
+        source: a `PoseSource`.
+        inlier_fraction: share of the source's points that lie on the target.
+        rmse: root mean square distance of those along the normals, metres.
+        num_free: directions of motion that the surface leaves free, 0 to 6.
+    """
+
+    T_target_source: jaxlie.SE3
+    surface_information: Float[Array, "6 6"]
+    matched: FeatureRegistration
+    source: Int[Array, ""]
+    inlier_fraction: Float[Array, ""]
+    rmse: Float[Array, ""]
+    num_free: Int[Array, ""]
+
+    @property
+    def found(self) -> Bool[Array, ""]:
+        """Whether the registration succeeded."""
+        return self.source != PoseSource.LOST
+
+    @property
+    def information(self) -> Float[Array, "6 6"]:
+        """(6, 6) of the residuals that the motion rests on, surface and keypoints together."""
+        keypoints = (self.source == PoseSource.JOINT) | (self.source == PoseSource.KEYPOINTS)
+        return self.surface_information + jnp.where(keypoints, self.matched.information, 0)

@@ -1,0 +1,89 @@
+"""The state of a run: tracker, keyframe graph, map and frame log."""
+
+from dataclasses import dataclass, field
+
+import jaxlie
+
+from sfgs_jax.arrays import pytree
+from sfgs_jax.geometry import Camera, Trajectory
+from sfgs_jax.slam.config import MappingConfig, SlamConfig
+from sfgs_jax.slam.state._frame_log import FrameLog, trajectory_of
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._map_state import MapState
+from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
+from sfgs_jax.splatting import Gaussians
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class SlamState:
+    """Everything a run knows; each field is replaced, never changed in place.
+
+    Attributes:
+        config: settings; static.
+        params: parameters of tracking, the camera among them.
+        tracker: pose and motion of the newest frame, and the references it is tracked in.
+        graph: keyframes and the registrations between them.
+        mapping: the map and its views.
+        log: poses of the tracked frames.
+        next_frame: number that the next frame gets if its source gives none.
+        last_timestamp: seconds, of the newest frame; NaN before the first.
+        last_view: number of the newest frame that became a view of the map.
+        num_lost: frames that were not found.
+    """
+
+    config: SlamConfig = field(metadata={"static": True})
+    params: TrackerParams
+    tracker: Tracker
+    graph: KeyframeGraph
+    mapping: MapState
+    log: FrameLog
+    next_frame: int
+    last_timestamp: float
+    last_view: int
+    num_lost: int
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics of the frames."""
+        return self.params.camera
+
+    @property
+    def mapping_camera(self) -> Camera:
+        """Intrinsics of the reduced images that mapping works on."""
+        return mapping_camera(self.camera, self.config.mapping)
+
+    @property
+    def T_world_cam(self) -> jaxlie.SE3:
+        """Pose of the newest tracked frame; the identity before the first."""
+        return self.tracker.T_world_cam
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The map."""
+        return self.mapping.map.gaussians
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses of the tracked frames, by where their keyframes are now."""
+        return trajectory_of(self.log, self.graph)
+
+
+def mapping_factor(camera: Camera, config: MappingConfig) -> int:
+    """Whole factor by which mapping reduces the images.
+
+    Args:
+        camera: intrinsics of the frames.
+        config: settings.
+    """
+    return max(1, -(-camera.width // config.max_width))
+
+
+def mapping_camera(camera: Camera, config: MappingConfig) -> Camera:
+    """Intrinsics of the reduced images.
+
+    Args:
+        camera: intrinsics of the frames.
+        config: settings.
+    """
+    return camera.downscaled(mapping_factor(camera, config))

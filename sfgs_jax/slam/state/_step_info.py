@@ -1,0 +1,53 @@
+"""Results of a step, and the stages that it is timed by."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple
+
+import jaxlie
+
+from sfgs_jax.slam.state._registration import PoseSource
+
+Stages = Callable[[str], AbstractContextManager[None]]
+"""Gives a context for the name of a stage, which times the stage."""
+
+
+def untimed(name: str) -> AbstractContextManager[None]:
+    """A stage that nobody times.
+
+    Args:
+        name: of the stage.
+    """
+    return nullcontext()
+
+
+class StepInfo(NamedTuple):
+    """What happened in a step.
+
+    Attributes:
+        T_world_cam: the frame's pose; the last known one where it was lost.
+        tracked: whether that pose is known.
+        source: residuals that it rests on.
+        relocalised: whether the frame was found by its looks, after it or those before it had been lost.
+        new_keyframe: whether the frame became a keyframe.
+        new_view: whether the frame became a view of the map.
+        loop_closed: whether a loop was closed in this step.
+        inlier_fraction: share of the frame's points that lie on the reference's surface.
+        rmse: root mean square distance of those, metres.
+        num_matches: keypoints matched with the reference's.
+        num_inliers: matches that agree with the motion found.
+        loss: of the map on the view last rendered, before the step on it; NaN if none was.
+    """
+
+    T_world_cam: jaxlie.SE3
+    tracked: bool
+    source: PoseSource
+    relocalised: bool
+    new_keyframe: bool
+    new_view: bool
+    loop_closed: bool
+    inlier_fraction: float
+    rmse: float
+    num_matches: int
+    num_inliers: int
+    loss: float

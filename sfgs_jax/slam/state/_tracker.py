@@ -1,0 +1,170 @@
+"""The tracker: parameters and state of `track`, pytrees of fixed shapes."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.slam.config import TrackingConfig
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.superfeats.network import Network
+
+
+class TrackerParams(eqx.Module):
+    """Parameters of tracking; gradients reach all but the settings.
+
+    Attributes:
+        camera: intrinsics of the frames.
+        network: weights of the keypoint network; None where another extractor, or none, is used.
+        config: settings; static.
+    """
+
+    camera: Camera
+    network: Network | None
+    config: TrackingConfig = eqx.field(static=True)
+
+
+class Tracker(eqx.Module):
+    """State of the tracker after a frame.
+
+    The references lie in a ring of fixed size, so that a sequence is a `lax.scan` and a batch of sequences a
+    `vmap`. Keyframes count from 0 in the order in which they were taken.
+
+    Attributes:
+        references: features of the newest keyframes, stacked along a leading axis of R slots.
+        reference_poses: (R, 7) their `T_world_cam` as wxyz_xyz.
+        reference_keyframes: (R,) their keyframe numbers, -1 in an empty slot.
+        current: slot of the reference that frames are registered to.
+        num_keyframes: keyframes taken so far.
+        T_reference_cam: pose of the newest tracked frame in the current reference.
+        T_previous_current: motion between the two newest tracked frames.
+        motion_seconds: duration of that motion; 0 where it is unknown.
+        since_tracked: seconds since the newest tracked frame, up to the newest frame.
+        last: features of the newest tracked frame that could become a keyframe.
+        last_registration: its registration to the current reference.
+        has_last: whether there is such a frame, and it is no keyframe yet.
+        lost_in_a_row: frames since the newest tracked frame, all of them lost.
+        motion_model_frames: newest frames in a row whose pose rests on the motion model in part.
+        motion_model_travel: motion that the model added up to over these, metres or radians, the larger.
+    """
+
+    references: FrameFeatures
+    reference_poses: Float[Array, "r 7"]
+    reference_keyframes: Int[Array, " r"]
+    current: Int[Array, ""]
+    num_keyframes: Int[Array, ""]
+    T_reference_cam: jaxlie.SE3
+    T_previous_current: jaxlie.SE3
+    motion_seconds: Float[Array, ""]
+    since_tracked: Float[Array, ""]
+    last: FrameFeatures
+    last_registration: Registration
+    has_last: Bool[Array, ""]
+    lost_in_a_row: Int[Array, ""]
+    motion_model_frames: Int[Array, ""]
+    motion_model_travel: Float[Array, ""]
+
+    @property
+    def T_world_cam(self) -> jaxlie.SE3:
+        """Pose of the newest tracked frame; the identity before the first."""
+        return _world_pose(self.reference_poses, self.current, self.T_reference_cam)
+
+    @property
+    def predicted_motion(self) -> jaxlie.SE3:
+        """Constant-velocity motion from the newest tracked frame to the newest frame."""
+        known = (self.motion_seconds > 0) & (self.since_tracked > 0)
+        ratio = jnp.where(known, self.since_tracked / jnp.where(known, self.motion_seconds, 1), 1)
+        scaled = se3.exp(ratio * se3.log(self.T_previous_current))
+        # Steady frames keep the motion to the bit.
+        return jaxlie.SE3(jnp.where(ratio == 1, self.T_previous_current.wxyz_xyz, scaled.wxyz_xyz))
+
+
+@partial(jax.jit, inline=True)
+def _world_pose(poses: Float[Array, "r 7"], slot: Int[Array, ""], T_reference_cam: jaxlie.SE3) -> jaxlie.SE3:
+    return se3.compose(jaxlie.SE3(poses[slot]), T_reference_cam)
+
+
+def empty_tracker(features: FrameFeatures, registration: Registration, num_references: int) -> Tracker:
+    """The tracker before the first frame.
+
+    Args:
+        features: a frame's features, or their shapes.
+        registration: a registration, or its shapes.
+        num_references: slots of the ring.
+    """
+    # Made on the host: there, no shape needs a program of its own.
+    zeros = jax.tree.map(lambda x: jax.device_put(np.zeros(x.shape, x.dtype)), (features, registration))
+    ring = jax.tree.map(lambda x: jax.device_put(np.zeros((num_references, *x.shape), x.dtype)), features)
+    dtype = features.cloud.levels[0].surface.dtype
+    identity = np.asarray([1, 0, 0, 0, 0, 0, 0], dtype)
+    return Tracker(
+        references=ring,
+        reference_poses=jax.device_put(np.tile(identity, (num_references, 1))),
+        reference_keyframes=jax.device_put(np.full(num_references, -1, np.int32)),
+        current=_scalar(0, np.int32),
+        num_keyframes=_scalar(0, np.int32),
+        T_reference_cam=jaxlie.SE3(jax.device_put(identity)),
+        T_previous_current=jaxlie.SE3(jax.device_put(identity)),
+        motion_seconds=_scalar(0, dtype),
+        since_tracked=_scalar(0, dtype),
+        last=zeros[0],
+        last_registration=zeros[1],
+        has_last=_scalar(False, bool),
+        lost_in_a_row=_scalar(0, np.int32),
+        motion_model_frames=_scalar(0, np.int32),
+        motion_model_travel=_scalar(0, dtype),
+    )
+
+
+def _scalar(value: float | int | bool, kind: np.dtype | type) -> Array:
+    return jax.device_put(np.asarray(value, kind))
+
+
+def reference_at(tracker: Tracker, slot: Int[Array, ""]) -> FrameFeatures:
+    """Features in a slot of the ring."""
+    return jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, slot, keepdims=False), tracker.references)
+
+
+def with_reference(
+    tracker: Tracker, features: FrameFeatures, pose: Float[Array, "7"], keyframe: Int[Array, ""]
+) -> Tracker:
+    """The tracker with a keyframe as its current reference, in the oldest slot.
+
+    Args:
+        tracker: before.
+        features: of the keyframe.
+        pose: its `T_world_cam` as wxyz_xyz.
+        keyframe: its number.
+    """
+    slot = (tracker.current + 1) % tracker.reference_keyframes.shape[0]
+    return eqx.tree_at(
+        lambda t: (t.references, t.reference_poses, t.reference_keyframes, t.current),
+        tracker,
+        (
+            jax.tree.map(lambda ring, x: ring.at[slot].set(x), tracker.references, features),
+            tracker.reference_poses.at[slot].set(pose),
+            tracker.reference_keyframes.at[slot].set(keyframe),
+            slot,
+        ),
+    )
+
+
+def with_graph_poses(tracker: Tracker, graph: KeyframeGraph) -> Tracker:
+    """The tracker with its references where the graph has their keyframes now.
+
+    Args:
+        tracker: before.
+        graph: that holds the keyframes.
+    """
+    keyframes = np.asarray(tracker.reference_keyframes)
+    filled = keyframes >= 0
+    poses = np.where(filled[:, None], graph.poses[np.maximum(keyframes, 0)], tracker.reference_poses)
+    return eqx.tree_at(lambda t: t.reference_poses, tracker, jax.device_put(poses))

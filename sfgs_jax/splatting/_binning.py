@@ -1,0 +1,220 @@
+"""Tile binning: the list of Gaussians that each tile of the image needs, nearest first.
+
+A Gaussian ends where its contribution falls below 1/255: an ellipse. Its tiles are found exactly, in two
+expansions. The first is into the rows of tiles that it crosses. The second is, in each row, into the tiles
+between its leftmost and rightmost point there. The (tile, Gaussian) pairs are sorted by tile and depth.
+"""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from sfgs_jax.arrays import prefix_sums
+from sfgs_jax.splatting._projection import MIN_ALPHA, Projected
+from sfgs_jax.splatting._sorting import sort_by_tile_and_depth
+
+_SLACK = 1e-4
+"""Added to the ellipse's squared radius (of 0 to 11), so that rounding drops no tile that is needed."""
+
+
+class TileLists(eqx.Module):
+    """Lists of Gaussians per tile, nearest first; tiles row by row.
+
+    Attributes:
+        gaussians: (P,) indices of the Gaussians in the lists of all tiles, one list after the other.
+        starts: (T,) position in `gaussians` at which each tile's list begins.
+        counts: (T,) length of each tile's list.
+        overflow: number of pairs that found no room. They belong to the Gaussians of the highest index.
+    """
+
+    gaussians: Int[Array, " p"]
+    starts: Int[Array, " t"]
+    counts: Int[Array, " t"]
+    overflow: Int[Array, ""]
+
+
+def tile_grid(width: int, height: int, tile_size: int) -> tuple[int, int]:
+    """Columns and rows of tiles that cover an image."""
+    return -(-width // tile_size), -(-height // tile_size)
+
+
+def bin_into_tiles(
+    projected: Projected,
+    *,
+    width: int,
+    height: int,
+    tile_size: int,
+    pair_capacity: int,
+) -> TileLists:
+    """Lists of the Gaussians that reach each tile.
+
+    Args:
+        projected: images of N Gaussians.
+        width: of the image, pixels; static.
+        height: of the image, pixels; static.
+        tile_size: side of a tile, pixels; static.
+        pair_capacity: room for (tile, Gaussian) pairs; static.
+    """
+    columns, rows = tile_grid(width, height, tile_size)
+    tiles = columns * rows
+    spans, row_overflow = _row_spans(projected, columns, rows, tile_size, pair_capacity)
+
+    entry, offset, pair_overflow = _expand(spans.counts, pair_capacity)
+    tile = spans.first_tiles[entry] + offset
+    tile = jnp.where(offset >= 0, tile, tiles)
+    gaussian = spans.gaussians[entry]
+    counts = jnp.zeros(tiles, jnp.int32).at[tile].add(1, mode="drop")
+    return TileLists(
+        gaussians=sort_by_tile_and_depth(
+            tile,
+            projected.depths[gaussian],
+            gaussian,
+            tile_count=tiles,
+            gaussian_count=projected.visible.shape[0],
+        ),
+        starts=jnp.cumsum(counts) - counts,
+        counts=counts,
+        overflow=row_overflow + pair_overflow,
+    )
+
+
+def count_rows(projected: Projected, *, height: int, tile_size: int) -> Int[Array, ""]:
+    """Number of (row of tiles, Gaussian) pairs."""
+    _, rows = tile_grid(1, height, tile_size)
+    _, counts = _Ellipses.of(projected).tile_rows(rows, tile_size)
+    return jnp.sum(counts)
+
+
+def count_pairs(
+    projected: Projected, *, width: int, height: int, tile_size: int, row_capacity: int
+) -> Int[Array, ""]:
+    """Number of (tile, Gaussian) pairs; `row_capacity` must not be below `count_rows`."""
+    columns, rows = tile_grid(width, height, tile_size)
+    spans, _ = _row_spans(projected, columns, rows, tile_size, row_capacity)
+    return jnp.sum(spans.counts)
+
+
+class _RowSpans(eqx.Module):
+    """S spans, each of adjacent tiles in one row that one Gaussian reaches.
+
+    Attributes:
+        gaussians: (S,) index of the Gaussian.
+        first_tiles: (S,) the leftmost tile.
+        counts: (S,) number of tiles, 0 where the slot is free.
+    """
+
+    gaussians: Int[Array, " s"]
+    first_tiles: Int[Array, " s"]
+    counts: Int[Array, " s"]
+
+
+def _row_spans(
+    projected: Projected, columns: int, rows: int, tile_size: int, capacity: int
+) -> tuple[_RowSpans, Int[Array, ""]]:
+    """The spans of all Gaussians, and the number of spans that found no room."""
+    ellipses = _Ellipses.of(projected)
+    first_row, row_counts = ellipses.tile_rows(rows, tile_size)
+    owner, offset, overflow = _expand(row_counts, capacity)
+    row = first_row[owner] + offset
+    first_column, counts = ellipses.at(owner).tile_columns(row, columns, tile_size)
+    spans = _RowSpans(
+        gaussians=owner,
+        first_tiles=row * columns + first_column,
+        counts=jnp.where(offset >= 0, counts, 0),
+    )
+    return spans, overflow
+
+
+class _Ellipses(eqx.Module):
+    """The ellipses |U d|² <= reach within which N Gaussians contribute.
+
+    Attributes:
+        u: (N,) column of the centre, pixels.
+        v: (N,) row of the centre, pixels.
+        p: (N,) first entry of U = [[p, q], [0, r]], 1 / pixels.
+        q: (N,) second entry of U.
+        r: (N,) third entry of U.
+        reach: (N,) squared radius in units of sigma; negative where nothing is drawn.
+    """
+
+    u: Float[Array, " n"]
+    v: Float[Array, " n"]
+    p: Float[Array, " n"]
+    q: Float[Array, " n"]
+    r: Float[Array, " n"]
+    reach: Float[Array, " n"]
+
+    @staticmethod
+    def of(projected: Projected) -> "_Ellipses":
+        reach = 2 * (projected.log_opacities - math.log(MIN_ALPHA)) + _SLACK
+        reach = jnp.where(projected.visible, reach, -1)
+        u, v = projected.centres.T
+        p, q, r = projected.whitening.T
+        return _Ellipses(u=u, v=v, p=p, q=q, r=r, reach=reach)
+
+    def at(self, index: Int[Array, " s"]) -> "_Ellipses":
+        """The ellipses of some Gaussians, looked up as rows of one table."""
+        table = jnp.stack([self.u, self.v, self.p, self.q, self.r, self.reach], axis=1)[index]
+        u, v, p, q, r, reach = (table[:, i] for i in range(6))
+        return _Ellipses(u=u, v=v, p=p, q=q, r=r, reach=reach)
+
+    def tile_rows(self, rows: int, tile_size: int) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
+        """First row of tiles and number of rows that the ellipse may reach."""
+        drawn = self.reach >= 0
+        extent = jnp.sqrt(jnp.maximum(self.reach, 0)) / jnp.where(drawn, self.r, 1)
+        first, last = _tile_range(self.v - extent, self.v + extent, rows, tile_size)
+        return first, jnp.where(drawn, jnp.maximum(last - first + 1, 0), 0)
+
+    def tile_columns(
+        self, row: Int[Array, " n"], columns: int, tile_size: int
+    ) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
+        """First column of tiles and number of columns that the ellipse reaches in a row of tiles."""
+        top = (row * tile_size).astype(self.v.dtype) - self.v
+        bottom = top + (tile_size - 1)
+        radius = jnp.sqrt(jnp.maximum(self.reach, 0))
+        # At the rightmost point q + r² dv / sqrt(reach - r² dv²) is zero. A row of tiles is a band, whose
+        # rightmost point is the nearest to that one. The leftmost is the mirror image.
+        rightmost = -self.q / self.r * radius / jnp.sqrt(self.q**2 + self.r**2)
+        left = self._edge(jnp.clip(-rightmost, top, bottom), -1)
+        right = self._edge(jnp.clip(rightmost, top, bottom), 1)
+        first, last = _tile_range(self.u + left, self.u + right, columns, tile_size)
+        # The nearest line of the band decides whether the ellipse reaches it at all.
+        nearest = self.r * jnp.clip(0, top, bottom)
+        reached = nearest**2 <= self.reach
+        return first, jnp.where(reached, jnp.maximum(last - first + 1, 0), 0)
+
+    def _edge(self, dv: Float[Array, " n"], side: int) -> Float[Array, " n"]:
+        """Horizontal distance from the centre to the ellipse on the line at `dv`; `side` is -1 or 1."""
+        half = jnp.sqrt(jnp.maximum(self.reach - (self.r * dv) ** 2, 0))
+        return (side * half - self.q * dv) / self.p
+
+
+def _tile_range(
+    low: Float[Array, " n"], high: Float[Array, " n"], tiles: int, tile_size: int
+) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
+    """First and last tile with a pixel centre in [low, high]; the last is before the first if none has."""
+    # Clipped as floats: far outside the image integers would not hold them.
+    first = jnp.clip(jnp.floor(jnp.ceil(low) / tile_size), 0, tiles)
+    last = jnp.clip(jnp.floor(jnp.floor(high) / tile_size), -1, tiles - 1)
+    return first.astype(jnp.int32), last.astype(jnp.int32)
+
+
+def _expand(
+    counts: Int[Array, " n"], capacity: int
+) -> tuple[Int[Array, " {capacity}"], Int[Array, " {capacity}"], Int[Array, ""]]:
+    """Give each of n owners `counts` consecutive slots, up to `capacity` in all.
+
+    Returns:
+        The owner (capacity,) of each slot; the slot's offset (capacity,) from its owner's first, -1 where it
+        is free; and the number of slots that were missing.
+    """
+    ends = jnp.cumsum(counts)
+    starts = ends - counts
+    # Every owner marks its start; the number of marks up to a slot tells its owner.
+    marks = jnp.zeros(capacity, jnp.int32).at[starts].add(1, mode="drop")
+    owner = prefix_sums(marks) - 1
+    slot = jnp.arange(capacity, dtype=jnp.int32)
+    offset = jnp.where(slot < ends[-1], slot - starts[owner], -1)
+    return owner, offset, jnp.maximum(ends[-1] - capacity, 0)

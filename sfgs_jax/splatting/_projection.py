@@ -1,0 +1,237 @@
+"""EWA splatting: from 3-D Gaussians to their images.
+
+The image of a Gaussian has the 2 x 2 covariance Σ = M Mᵀ + 0.3 I with M = J R S. S holds the scales, R is
+the rotation to camera axes, and J the derivative of the projection at the centre. Pixels need Σ⁻¹. It is kept
+as the triangle U of Σ⁻¹ = Uᵀ U. So the exponent -|U d|² / 2 is a sum of squares.
+
+With m₁ and m₂ the rows of M, det Σ = |m₁ x m₂|² + 0.3 (|m₁|² + |m₂|²) + 0.09 (Cauchy-Binet). Nothing cancels
+in it. So U is accurate in float32 even for a needle that is hundreds of pixels long and half a pixel wide.
+The entries of Σ⁻¹ would not be.
+
+All products are written out as sums of elementwise ones, which run in float32 on every device.
+
+Source: Zwicker et al., EWA splatting, 2002; Kerbl et al., 3D Gaussian splatting, 2023.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import partial, reduce
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jaxtyping import Array, Bool, Float
+
+from sfgs_jax.arrays import map_used_rows
+from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.splatting._config import DEFAULT, RenderConfig
+from sfgs_jax.splatting._gaussians import Gaussians
+from sfgs_jax.splatting._spherical_harmonics import sh_colours
+
+LOW_PASS = 0.3
+"""Variance added to both axes of every image, pixels²: no Gaussian falls between pixels."""
+
+MIN_ALPHA = 1 / 255
+"""Contributions below this are skipped."""
+
+_VIEW_MARGIN = 0.3
+"""Share of the image's half size. J is taken no farther outside the image, where the linearisation fails."""
+
+_MAX_LOG_IMAGE_SIZE = 20.0
+"""Logarithm of the largest standard deviation an image may have, pixels: 5e8, far beyond any screen."""
+
+
+class Projected(eqx.Module):
+    """Images of N Gaussians.
+
+    Attributes:
+        centres: (N, 2) pixels (u, v).
+        whitening: (N, 3) entries p, q, r of U = [[p, q], [0, r]], 1 / pixels; Σ⁻¹ = Uᵀ U.
+        log_opacities: (N,) logarithms of the opacities.
+        depths: (N,) depths of the centres along z, metres.
+        visible: (N,) which Gaussians are drawn; the other lanes hold finite values.
+    """
+
+    centres: Float[Array, "n 2"]
+    whitening: Float[Array, "n 3"]
+    log_opacities: Float[Array, " n"]
+    depths: Float[Array, " n"]
+    visible: Bool[Array, " n"]
+
+
+def project(
+    gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, *, config: RenderConfig = DEFAULT
+) -> tuple[Projected, Float[Array, "n 3"]]:
+    """Images of the Gaussians, and their RGB as seen from the camera.
+
+    Reverse-mode differentiable once; there is no forward mode. Gradients are zero in lanes that are not
+    visible. A Gaussian is visible if it is in use, lies in [near, far], is opaque enough and reaches the
+    image. One that holds a NaN, or an image too large for float32, is not.
+
+    Args:
+        gaussians: the map.
+        camera: intrinsics and image size.
+        T_world_cam: pose of the camera.
+        config: settings, static; only `near`, `far` and `antialiased` have an influence.
+
+    Returns:
+        The images, and the RGB (N, 3) of the spherical harmonics.
+
+    Raises:
+        InputError: the harmonics are not of degree 0 to 3.
+    """
+    return _project(gaussians, camera, T_world_cam, config)
+
+
+# Compiled here: hundreds of small programs would take longer. Inside a caller's jit it is inlined.
+@partial(jax.jit, static_argnames="config")
+def _project(
+    gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
+) -> tuple[Projected, Float[Array, "n 3"]]:
+    def of_rows(rows: _Rows, valid: Array, view: tuple[Camera, jaxlie.SE3]) -> tuple[tuple, Array]:
+        return _project_rows(rows, valid, *view, config)
+
+    rows = _Rows(
+        means=_columns(gaussians.means),
+        quaternions=_columns(gaussians.quaternions),
+        log_scales=_columns(gaussians.log_scales),
+        opacity_logits=gaussians.opacity_logits,
+        sh=gaussians.sh,
+    )
+    mapped: tuple[tuple, Array] = map_used_rows(of_rows, rows, gaussians.valid, (camera, T_world_cam))
+    (centres, whitening, log_opacities, depths, rgb), visible = mapped
+    projected = Projected(
+        centres=jnp.stack(centres, axis=-1),
+        whitening=jnp.stack(whitening, axis=-1),
+        log_opacities=log_opacities,
+        depths=depths,
+        visible=visible,
+    )
+    return projected, rgb
+
+
+class _Rows(NamedTuple):
+    """Parameters of Gaussians, vectors as lists of columns, which XLA fuses and compiles sooner."""
+
+    means: list[Array]
+    quaternions: list[Array]
+    log_scales: list[Array]
+    opacity_logits: Array
+    sh: Array
+
+
+def _project_rows(
+    rows: _Rows, valid: Bool[Array, " n"], camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
+) -> tuple[tuple[list[Array], list[Array], Array, Array, Array], Bool[Array, " n"]]:
+    """Centres, whitening, logarithms of the opacities, depths and RGB; then the mask of the visible."""
+    R_cam_world = se3.rotation_matrix(T_world_cam).T
+    # Relative to the camera before anything else: far from the origin float32 has no digits to spare.
+    origin = T_world_cam.wxyz_xyz[4:]
+    offset = [mean - origin[i] for i, mean in enumerate(rows.means)]
+    z = _dot(R_cam_world[2], offset)
+    used = valid & (z > config.near) & (z < config.far) & _computable(rows, camera, z)
+
+    # Lanes not in use are replaced on the way in, so that no NaN arises there, nor in a gradient.
+    offset = [jnp.where(used, o, axis) for o, axis in zip(offset, R_cam_world[2], strict=True)]
+    quaternion = [jnp.where(used, q, 1) for q in rows.quaternions]
+    scale = [jnp.exp(jnp.where(used, s, 0)) for s in rows.log_scales]
+    logits = jnp.where(used, rows.opacity_logits, 0)
+    sh = jnp.where(used[:, None, None], rows.sh, 0)
+
+    x, y, z = (_dot(row, offset) for row in R_cam_world)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    m1, m2 = _image_axes(x, y, z, quaternion, scale, camera, R_cam_world)
+
+    raw_uu, raw_vv, uv = _dot(m1, m1), _dot(m2, m2), _dot(m1, m2)
+    minors = [m1[i] * m2[j] - m1[j] * m2[i] for i, j in ((0, 1), (1, 2), (2, 0))]
+    raw_determinant = _dot(minors, minors)
+    determinant = raw_determinant + LOW_PASS * (raw_uu + raw_vv) + LOW_PASS**2
+    uu, vv = raw_uu + LOW_PASS, raw_vv + LOW_PASS
+    p = jnp.sqrt(vv / determinant)
+
+    log_opacities = jax.nn.log_sigmoid(logits)
+    if config.antialiased:
+        kept = jnp.maximum(raw_determinant / determinant, 1e-12)
+        log_opacities = log_opacities + 0.5 * jnp.log(kept)
+
+    reach = 2 * (log_opacities - math.log(MIN_ALPHA))
+    inside = [
+        (centre + extent >= 0) & (centre - extent <= size - 1)
+        for centre, extent, size in (
+            (u, jnp.sqrt(jnp.maximum(reach, 0) * uu), camera.width),
+            (v, jnp.sqrt(jnp.maximum(reach, 0) * vv), camera.height),
+        )
+    ]
+    visible = used & (reach >= 0) & inside[0] & inside[1]
+    whitening = [p, -p * uv / vv, 1 / jnp.sqrt(vv)]
+    return ([u, v], whitening, log_opacities, z, sh_colours(sh, jnp.stack(offset, axis=-1))), visible
+
+
+def _columns(vectors: Float[Array, "n d"]) -> list[Array]:
+    return [vectors[:, i] for i in range(vectors.shape[1])]
+
+
+def _dot(a: Array | Sequence[Array], b: Sequence[Array]) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _image_axes(
+    x: Float[Array, " n"],
+    y: Float[Array, " n"],
+    z: Float[Array, " n"],
+    quaternion: list[Array],
+    scale: list[Array],
+    camera: Camera,
+    R_cam_world: Float[Array, "3 3"],
+) -> tuple[list[Array], list[Array]]:
+    """Rows of M = J R S: the image's motion in u and in v along each axis of the Gaussian, by one sigma."""
+    # Pixels cover half a unit around their centres, so the image spans [-0.5, size - 0.5].
+    margin_u = _VIEW_MARGIN * camera.width / (2 * camera.fx)
+    margin_v = _VIEW_MARGIN * camera.height / (2 * camera.fy)
+    slope_u = jnp.clip(
+        x / z,
+        -(camera.cx + 0.5) / camera.fx - margin_u,
+        (camera.width - 0.5 - camera.cx) / camera.fx + margin_u,
+    )
+    slope_v = jnp.clip(
+        y / z,
+        -(camera.cy + 0.5) / camera.fy - margin_v,
+        (camera.height - 0.5 - camera.cy) / camera.fy + margin_v,
+    )
+    right, down, forward = R_cam_world
+    # The rows of J times the rotation to camera axes.
+    j1 = [camera.fx / z * (right[i] - slope_u * forward[i]) for i in range(3)]
+    j2 = [camera.fy / z * (down[i] - slope_v * forward[i]) for i in range(3)]
+    axes = _rotation_columns(quaternion)
+    m1 = [_dot(j1, axis) * s for axis, s in zip(axes, scale, strict=True)]
+    m2 = [_dot(j2, axis) * s for axis, s in zip(axes, scale, strict=True)]
+    return m1, m2
+
+
+def _computable(rows: _Rows, camera: Camera, z: Float[Array, " n"]) -> Bool[Array, " n"]:
+    """Mask of the Gaussians without NaN whose images have fourth powers within float32."""
+    # Column by column, because reductions over a short axis are slow.
+    largest = reduce(jnp.maximum, rows.log_scales)
+    size = largest + jnp.log(jnp.maximum(camera.fx, camera.fy) / z)
+    numbers = [*rows.quaternions, *_columns(rows.sh.reshape(rows.sh.shape[0], -1))]
+    return (
+        (size < _MAX_LOG_IMAGE_SIZE)  # False where NaN
+        & reduce(jnp.logical_and, map(jnp.isfinite, numbers))
+        & ~jnp.isnan(rows.opacity_logits)
+    )
+
+
+def _rotation_columns(quaternion: list[Array]) -> list[list[Array]]:
+    """Columns of the rotation matrices of quaternions wxyz of any length; a zero one does not rotate."""
+    # The length has no influence. Taken out as a constant, it lets nothing over- or underflow.
+    largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, quaternion)))
+    w, x, y, z = (q / jnp.where(largest > 0, largest, 1) for q in quaternion)
+    # Twice the product of two entries of the unit quaternion is `two` times that of the given one.
+    two = 2 / jnp.where(largest > 0, w * w + x * x + y * y + z * z, 1)
+    return [
+        [1 - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)],
+        [two * (x * y - w * z), 1 - two * (x * x + z * z), two * (y * z + w * x)],
+        [two * (x * z + w * y), two * (y * z - w * x), 1 - two * (x * x + y * y)],
+    ]

@@ -1,0 +1,31 @@
+"""ORB keypoints as `Features`, for comparison and for the paper's ablation."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.superfeats._features import Features, pack_features
+
+
+def extract_orb(
+    image: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w 3"], *, max_keypoints: int = 1024
+) -> Features:
+    """ORB keypoints of an image of any size, on the host through OpenCV.
+
+    The 256 bits of a descriptor become numbers of ±1/16, so it has unit length. A dot product is then
+    1 - 2 h / 256 with h the Hamming distance, and `match` needs no other rule than for learned descriptors.
+
+    Args:
+        image: grey (H, W) or RGB (H, W, 3), in [0, 1].
+        max_keypoints: slots of the result; an image without corners leaves all of them empty.
+
+    Source: Rublee et al., ORB: an efficient alternative to SIFT or SURF, ICCV 2011.
+    """
+    scaled = np.clip(np.rint(np.asarray(image, np.float32) * 255), 0, 255).astype(np.uint8)
+    grey = cv2.cvtColor(scaled, cv2.COLOR_RGB2GRAY) if scaled.ndim == 3 else scaled
+    found, bits = cv2.ORB.create(nfeatures=max_keypoints).detectAndCompute(grey, None)
+    if not found:
+        return pack_features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 256)), capacity=max_keypoints)
+    descriptors = (np.unpackbits(np.asarray(bits, np.uint8), axis=1) * np.float32(2) - 1) / 16
+    scores = np.asarray([keypoint.response for keypoint in found])
+    return pack_features(np.asarray(cv2.KeyPoint.convert(found)), scores, descriptors, capacity=max_keypoints)

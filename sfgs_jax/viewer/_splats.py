@@ -1,0 +1,41 @@
+"""A map in the browser's form: covariances and colours instead of parameters."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+from sfgs_jax.geometry import rotations_from_quaternions
+from sfgs_jax.splatting import Gaussians, sh_to_rgb
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Gaussians on the host, float32.
+
+    Attributes:
+        centres: metres.
+        covariances: square metres.
+        rgb: in [0, 1]; the mean colour over all directions.
+        opacities: in [0, 1].
+    """
+
+    centres: Float32[np.ndarray, "n 3"]
+    covariances: Float32[np.ndarray, "n 3 3"]
+    rgb: Float32[np.ndarray, "n 3"]
+    opacities: Float32[np.ndarray, "n 1"]
+
+
+def splats_of(gaussians: Gaussians) -> Splats:
+    """The Gaussians in use: covariance R S² Rᵀ from rotation and scales, colour from degree 0."""
+    used = np.asarray(gaussians.valid)
+    rotations = rotations_from_quaternions(np.asarray(gaussians.quaternions)[used])
+    axes = rotations * np.exp(np.asarray(gaussians.log_scales, np.float64)[used])[:, None, :]
+    logits = np.asarray(gaussians.opacity_logits, np.float64)[used]
+    rgb = sh_to_rgb(np.asarray(gaussians.sh)[used, 0])
+    return Splats(
+        centres=np.asarray(gaussians.means, np.float32)[used],
+        covariances=(axes @ axes.transpose(0, 2, 1)).astype(np.float32),
+        rgb=np.clip(rgb, 0, 1).astype(np.float32),
+        opacities=(0.5 * (1 + np.tanh(0.5 * logits)))[:, None].astype(np.float32),
+    )

@@ -1,0 +1,140 @@
+"""Small matrices in lanes, and closed forms for symmetric ones, against NumPy and finite differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sfgs_jax.arrays import (
+    apply,
+    apply_transposed,
+    back_substitution,
+    cholesky,
+    dot,
+    forward_substitution,
+    from_upper_triangles,
+    identity_like,
+    multiply,
+    multiply_transposed,
+    outer,
+    smallest_eigenpair,
+    symmetric_inverse,
+    symmetric_product,
+    upper_triangles,
+)
+
+
+def triangles(matrices: np.ndarray, dtype: type = np.float32) -> jax.Array:
+    return upper_triangles(jnp.asarray(matrices, dtype))
+
+
+def with_spectrum(rng, values) -> np.ndarray:
+    """200 matrices with given eigenvalues in random directions."""
+    q = np.linalg.qr(rng.normal(size=(200, 3, 3)))[0]
+    return np.einsum("nij,j,nkj->nik", q, values, q)
+
+
+def lanes(matrices: np.ndarray) -> jax.Array:
+    """(N, ...) as (..., N)."""
+    return jnp.asarray(np.moveaxis(matrices, 0, -1))
+
+
+def test_products_are_those_of_the_matrices(rng):
+    a, b = rng.normal(size=(2, 50, 3, 4)).astype(np.float32)
+    c, v, w = (rng.normal(size=(50, *shape)).astype(np.float32) for shape in ((4, 2), (4,), (3,)))
+    cases = [
+        (multiply(lanes(a), lanes(c)), a @ c),
+        (multiply_transposed(lanes(a), lanes(b)), np.swapaxes(a, 1, 2) @ b),
+        (apply(lanes(a), lanes(v)), np.einsum("nij,nj->ni", a, v)),
+        (apply_transposed(lanes(a), lanes(w)), np.einsum("nij,ni->nj", a, w)),
+        (dot(lanes(w), lanes(w)), np.sum(w * w, axis=1)),
+    ]
+    for found, expected in cases:
+        np.testing.assert_allclose(np.moveaxis(np.asarray(found), -1, 0), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_triangles_are_those_of_the_matrices(rng):
+    matrices = with_spectrum(rng, [0.1, 1.0, 2.0]).astype(np.float32)
+    entries = upper_triangles(jnp.asarray(matrices))
+    np.testing.assert_array_equal(entries[3], matrices[:, 1, 1])
+    np.testing.assert_allclose(from_upper_triangles(entries), matrices, atol=1e-6)
+    vectors = jnp.asarray(rng.normal(size=(3, 200)), jnp.float32)
+    expected = np.einsum("nij,jn->in", matrices, vectors)
+    np.testing.assert_allclose(symmetric_product(entries, vectors), expected, atol=1e-5)
+    np.testing.assert_allclose(
+        from_upper_triangles(outer(vectors)), np.einsum("in,jn->nij", vectors, vectors), rtol=1e-6
+    )
+    identities = from_upper_triangles(identity_like(entries[0]))
+    np.testing.assert_array_equal(identities, np.tile(np.eye(3, dtype=np.float32), (200, 1, 1)))
+
+
+def test_cholesky_factors_solve(rng):
+    matrices = with_spectrum(rng, [0.1, 1.0, 2.0]).astype(np.float32)
+    factor, deficient = cholesky(jnp.asarray(matrices))
+    assert not np.any(deficient)
+    np.testing.assert_allclose(factor, np.linalg.cholesky(matrices), atol=1e-5)
+    right = rng.normal(size=(200, 3, 2)).astype(np.float32)
+    half = forward_substitution(factor, jnp.moveaxis(jnp.asarray(right), 1, 0))
+    expected = np.linalg.solve(np.linalg.cholesky(matrices), right)
+    np.testing.assert_allclose(np.moveaxis(np.asarray(half), 0, 1), expected, atol=1e-4)
+    whole = back_substitution(factor, jnp.moveaxis(half, 0, 1)[..., 0])
+    np.testing.assert_allclose(whole, np.linalg.solve(matrices, right)[..., 0], atol=1e-3)
+
+
+def test_cholesky_names_the_deficient_and_stays_finite():
+    matrices = np.stack([np.eye(3), np.diag([1.0, 1.0, 0.0]), np.ones((3, 3)), np.diag([1.0, -1.0, 1.0])])
+    factor, deficient = cholesky(jnp.asarray(matrices, jnp.float32))
+    np.testing.assert_array_equal(deficient, [False, True, True, True])
+    assert np.all(np.isfinite(factor))
+
+
+def test_the_pair_is_that_of_eigh_at_any_scale(rng):
+    for values in ([0.001, 1.0, 1.0], [0.1, 0.5, 2.0], [0.0, 0.3, 1.0], [1e-4, 0.01, 1.0]):
+        for scale in (1e-6, 1.0, 1e4):
+            matrices = with_spectrum(rng, np.asarray(values) * scale)
+            value, vector = smallest_eigenpair(triangles(matrices))
+            expected_values, expected_vectors = np.linalg.eigh(matrices)
+            np.testing.assert_allclose(value, expected_values[:, 0], atol=3e-6 * scale * values[2])
+            cosine = np.abs(np.sum(np.asarray(vector).T * expected_vectors[:, :, 0], axis=1))
+            gap = (values[1] - values[0]) / values[2]
+            np.testing.assert_array_less(1 - (1e-6 / gap) ** 2 - 1e-6, cosine)
+
+
+def test_repeated_eigenvalues_give_a_unit_vector_of_their_space(rng):
+    line = with_spectrum(rng, [0.0, 0.0, 1.0])
+    value, vector = smallest_eigenpair(triangles(line))
+    np.testing.assert_allclose(np.linalg.norm(vector, axis=0), 1, rtol=1e-5)
+    np.testing.assert_allclose(np.einsum("nij,jn->ni", line, np.asarray(vector)), 0, atol=3e-3)
+    np.testing.assert_allclose(value, 0, atol=1e-5)
+    for matrices in (np.zeros((1, 3, 3)), 5 * np.eye(3)[None]):
+        value, vector = smallest_eigenpair(triangles(matrices))
+        np.testing.assert_allclose(value, matrices[0, 0, 0], rtol=1e-6)
+        np.testing.assert_array_equal(vector[:, 0], [0, 0, 1])
+
+
+def test_derivatives_are_those_of_finite_differences(float64, rng):
+    matrices = triangles(with_spectrum(rng, [0.01, 0.4, 1.0]), np.float64)
+    change = jnp.asarray(rng.normal(size=matrices.shape))
+    _, (value_rate, vector_rate) = jax.jvp(smallest_eigenpair, (matrices,), (change,))
+    h = 1e-6
+    (value_up, up), (value_down, down) = (smallest_eigenpair(matrices + s * h * change) for s in (1, -1))
+    np.testing.assert_allclose(value_rate, (value_up - value_down) / (2 * h), atol=1e-6)
+    np.testing.assert_allclose(vector_rate, (up - down) / (2 * h), atol=1e-6)
+
+
+def test_gradients_are_finite_where_eigenvalues_repeat():
+    def total(matrices):
+        value, vector = smallest_eigenpair(matrices)
+        return jnp.sum(value) + jnp.sum(vector)
+
+    degenerate = np.stack([np.zeros((3, 3)), np.eye(3), np.diag([0.0, 0.0, 1.0])])
+    assert np.all(np.isfinite(jax.grad(total)(triangles(degenerate))))
+
+
+def test_inverses_and_the_singular(rng):
+    matrices = with_spectrum(rng, [0.01, 1.0, 2.0])
+    inverse, regular = symmetric_inverse(triangles(matrices))
+    assert np.all(regular)
+    np.testing.assert_allclose(inverse, triangles(np.linalg.inv(matrices)), rtol=1e-3, atol=1e-2)
+    inverse, regular = symmetric_inverse(triangles(np.diag([1.0, 1.0, 0.0])[None]))
+    assert not regular[0]
+    assert not np.any(inverse)

@@ -1,0 +1,144 @@
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.evaluation import evaluate_run
+from sfgs_jax.geometry import Trajectory, format_tum, read_tum
+
+
+@pytest.fixture
+def run(fabricated, tmp_path, monkeypatch):
+    """A copy of the run's folder, and its recording; no weights are to be found."""
+    monkeypatch.setenv("SFGS_DATA", str(tmp_path / "nothing"))
+    folder = tmp_path / "run"
+    shutil.copytree(fabricated[0], folder)
+    return folder, fabricated[1]
+
+
+def test_a_run_that_is_its_own_recording_is_exact(run):
+    folder, recording = run
+    done = []
+    metrics = evaluate_run(folder, recording, progress=done.append)
+    assert done == list(range(1, 12))
+    assert metrics["ate"]["rmse_m"] < 1e-8
+    assert metrics["ate"]["num_pairs"] == 11
+    assert metrics["rpe"]["trans_m"] < 1e-8
+    assert set(metrics["psnr"]) == set(metrics["ssim"]) == {"all", "gs_icp", "splatam", "held_out"}
+    assert min(metrics["psnr"].values()) > 80
+    assert min(metrics["ssim"].values()) > 0.9999
+    assert metrics["evaluated"]["frames"] == {"all": 11, "gs_icp": 11, "splatam": 3, "held_out": 8}
+    assert "Cannot read the LPIPS weights" in metrics["unavailable"]["lpips_squeeze"]
+
+
+def test_the_file_is_what_is_returned_and_keeps_the_runs_own_part(run):
+    folder, recording = run
+    metrics = evaluate_run(folder, recording)
+    assert json.loads((folder / "metrics.json").read_text()) == metrics
+    assert metrics["stages"]["tracking"] == {"median_ms": 12.5, "p95_ms": 20.0}
+    assert metrics["frames"]["tracked"] == 11
+
+
+def test_doing_it_again_changes_nothing(run):
+    folder, recording = run
+    evaluate_run(folder, recording)
+    first = (folder / "metrics.json").read_bytes()
+    evaluate_run(folder, recording)
+    assert (folder / "metrics.json").read_bytes() == first
+
+
+def test_without_ground_truth_it_says_so_and_forgets_old_figures(run):
+    folder, recording = run
+    metrics = evaluate_run(folder, dataclasses.replace(recording, ground_truth=None))
+    assert (
+        metrics["unavailable"]["ate"] == metrics["unavailable"]["rpe"] == "the recording has no ground truth"
+    )
+    assert "ate" not in metrics
+    assert metrics["psnr"]["all"] > 80
+
+
+def test_wrong_poses_lower_the_figures(run):
+    folder, recording = run
+    trajectory = read_tum(folder / "trajectory.txt")
+    trajectory.poses[5, 0, 3] += 0.1
+    (folder / "trajectory.txt").write_text(format_tum(trajectory))
+    metrics = evaluate_run(folder, recording)
+    assert 0.05 < metrics["ate"]["max_m"] < 0.1
+    assert metrics["psnr"]["all"] < 100 - (100 - 40) / 11
+    assert metrics["psnr"]["splatam"] > 80  # frame 5 is not one of SplaTAM's
+
+
+def test_lost_and_unreadable_frames_are_left_out_and_counted(run):
+    folder, recording = run
+    trajectory = read_tum(folder / "trajectory.txt")
+    kept = np.setdiff1d(np.arange(11), [0, 7])
+    (folder / "trajectory.txt").write_text(format_tum(trajectory[kept]))
+    frames = list(recording.frames)
+    frames[3] = FrameError("truncated")
+    metrics = evaluate_run(folder, dataclasses.replace(recording, frames=frames))
+    assert metrics["evaluated"]["frames"] == {"all": 8, "gs_icp": 8, "splatam": 2, "held_out": 6}
+    assert metrics["evaluated"]["without_pose"] == 2
+    assert metrics["evaluated"]["unreadable"] == 1
+    assert metrics["psnr"]["all"] > 80
+
+
+def test_a_subset_is_stated(run):
+    folder, recording = run
+    metrics = evaluate_run(folder, recording, every=3)
+    assert metrics["evaluated"]["every"] == 3
+    # Frames 2, 5 and 8, of which 5 is a keyframe and none is SplaTAM's.
+    assert metrics["evaluated"]["frames"] == {"all": 3, "gs_icp": 3, "splatam": 0, "held_out": 2}
+    assert "psnr.splatam" in metrics["unavailable"]
+    with pytest.raises(InputError, match="at least 1"):
+        evaluate_run(folder, recording, every=0)
+
+
+def test_long_recordings_are_sampled_as_splatam_does(run):
+    folder, recording = run
+    assert evaluate_run(folder, recording)["evaluated"]["every"] == 1
+    metrics = evaluate_run(folder, recording, max_pixels=3 * 64 * 48)
+    assert metrics["evaluated"]["every"] == 5
+    assert metrics["evaluated"]["frames"] == {"all": 2, "gs_icp": 2, "splatam": 2, "held_out": 2}  # 4 and 9
+
+
+def test_protocols_without_frames_are_unavailable(run):
+    folder, recording = run
+    shutil.copy(folder / "trajectory.txt", folder / "keyframes.txt")
+    metrics = evaluate_run(folder, recording)
+    assert "held_out" not in metrics["psnr"]
+    assert {"psnr.held_out", "ssim.held_out"} <= set(metrics["unavailable"])
+
+
+def test_a_run_without_any_pose_has_no_figures(run):
+    folder, recording = run
+    for name in ("trajectory.txt", "keyframes.txt"):
+        (folder / name).write_text(format_tum(Trajectory(np.zeros(0), np.zeros((0, 4, 4)))))
+    metrics = evaluate_run(folder, recording)
+    assert {"ate", "rpe", "psnr", "ssim", "lpips_squeeze"} <= set(metrics["unavailable"])
+    assert "psnr" not in metrics
+
+
+def test_lpips_of_some_of_splatams_frames(run, sfgs_data, monkeypatch):
+    monkeypatch.setenv("SFGS_DATA", str(sfgs_data))
+    folder, recording = run
+    metrics = evaluate_run(folder, recording, max_lpips_frames=2)
+    assert set(metrics["lpips_squeeze"]) == {"splatam"}
+    assert metrics["lpips_squeeze"]["splatam"] < 1e-4
+    assert metrics["evaluated"]["lpips_frames"] == 2
+    assert metrics["unavailable"] == {}
+
+
+def test_another_recording_and_missing_files_are_refused(run):
+    folder, recording = run
+    other = dataclasses.replace(recording, timestamps=recording.timestamps + 100)
+    with pytest.raises(InputError, match="made on another recording"):
+        evaluate_run(folder, other)
+    (folder / "map.ply").unlink()
+    with pytest.raises(InputError, match="map"):
+        evaluate_run(folder, recording)
+    (folder / "metrics.json").write_text("{half")
+    with pytest.raises(InputError, match="Cannot read"):
+        evaluate_run(folder, recording)

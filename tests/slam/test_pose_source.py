@@ -1,0 +1,123 @@
+"""Judgement of a pose: every row of the decision table, and which uses a registration supports."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from registrations import registration
+
+from sfgs_jax.slam.frontend import Evidence, judge, supports_edge, supports_relocalisation
+from sfgs_jax.slam.state import PoseSource
+
+EITHER = (False, True)
+
+
+def rows(**fixed):
+    """All evidence with some flags fixed, the others either way."""
+    options = [(fixed[name],) if name in fixed else EITHER for name in Evidence._fields]
+    return [Evidence(*flags) for flags in product(*options)]
+
+
+@pytest.mark.parametrize(
+    ("fixed", "expected"),
+    [
+        ({"keypoints": True, "surface": True, "agree": True}, PoseSource.JOINT),
+        ({"keypoints": True, "many_keypoints": True, "agree": False}, PoseSource.KEYPOINTS),
+        ({"keypoints": True, "many_keypoints": True, "surface": False}, PoseSource.KEYPOINTS),
+        (
+            {
+                "keypoints": True,
+                "many_keypoints": False,
+                "surface": True,
+                "agree": False,
+                "surface_alone": True,
+                "free": False,
+                "surface_allowed": True,
+            },
+            PoseSource.SURFACE,
+        ),
+        (
+            {
+                "keypoints": True,
+                "many_keypoints": False,
+                "surface": True,
+                "agree": False,
+                "surface_alone": True,
+                "free": True,
+                "motion_model_allowed": True,
+            },
+            PoseSource.MOTION_MODEL,
+        ),
+        (
+            {
+                "keypoints": False,
+                "surface": True,
+                "surface_alone": True,
+                "free": False,
+                "surface_allowed": True,
+            },
+            PoseSource.SURFACE,
+        ),
+        (
+            {
+                "keypoints": False,
+                "surface": True,
+                "surface_alone": True,
+                "free": True,
+                "motion_model_allowed": True,
+            },
+            PoseSource.MOTION_MODEL,
+        ),
+        ({"keypoints": False, "surface": False}, PoseSource.LOST),
+        ({"keypoints": False, "surface_alone": False}, PoseSource.LOST),
+        ({"keypoints": False, "free": False, "surface_allowed": False}, PoseSource.LOST),
+        ({"keypoints": False, "free": True, "motion_model_allowed": False}, PoseSource.LOST),
+        ({"keypoints": True, "many_keypoints": False, "surface": False}, PoseSource.LOST),
+        (
+            {"keypoints": True, "many_keypoints": False, "agree": False, "surface_alone": False},
+            PoseSource.LOST,
+        ),
+    ],
+)
+def test_every_row_of_the_decision_table(fixed, expected):
+    judged = {int(judge(evidence)) for evidence in rows(**fixed)}
+    assert judged == {expected}
+
+
+def test_the_table_leaves_no_evidence_out():
+    counts = np.bincount([int(judge(evidence)) for evidence in rows()], minlength=len(PoseSource))
+    assert counts.sum() == 2 ** len(Evidence._fields)
+    assert np.all(counts > 0)
+
+
+@pytest.mark.parametrize(
+    ("source", "correction", "with_keypoints", "expected"),
+    [
+        (PoseSource.JOINT, 0.05, True, True),
+        (PoseSource.KEYPOINTS, 0.05, True, True),
+        (PoseSource.SURFACE, 0.05, True, False),
+        (PoseSource.SURFACE, 0.05, False, True),
+        (PoseSource.JOINT, 0.15, True, False),
+        (PoseSource.MOTION_MODEL, 0.0, False, False),
+        (PoseSource.LOST, 0.0, True, False),
+    ],
+)
+def test_edges_need_keypoints_where_there_are_any(config, source, correction, with_keypoints, expected):
+    found = registration(source=source)
+    graph = replace(config.graph, max_correction=0.1)
+    assert supports_edge(found, correction, graph, with_keypoints=with_keypoints) == expected
+
+
+@pytest.mark.parametrize(
+    ("source", "inliers", "expected"),
+    [
+        (PoseSource.JOINT, 30, True),
+        (PoseSource.KEYPOINTS, 30, True),
+        (PoseSource.JOINT, 29, False),
+        (PoseSource.SURFACE, 100, False),
+    ],
+)
+def test_only_many_keypoints_relocalise(config, source, inliers, expected):
+    graph = replace(config.graph, relocalisation_inliers=30)
+    assert supports_relocalisation(registration(source=source, inliers=inliers), graph) == expected

@@ -1,0 +1,161 @@
+"""track as a pure function: scanned, batched, differentiated; counters and time in the tracker."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax import slam
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam import PoseSource
+from sfgs_jax.superfeats import mean_grey
+
+COUNT = 60
+SECONDS = np.float32(1 / 30)
+
+
+@pytest.fixture(scope="module")
+def params(room):
+    features = slam.FeaturesConfig(max_keypoints=256, max_rigid_matches=128)
+    gicp = slam.TrackingConfig().gicp
+    # Two levels are enough for so small an image, and compile in half the time.
+    gicp = replace(gicp, levels=2, strides=(1, 1), max_iterations=gicp.max_iterations[:2])
+    tracking = slam.TrackingConfig(features=features, gicp=gicp, keyframe_translation=0.05)
+    return slam.tracker_params(room.camera, tracking)
+
+
+@pytest.fixture(scope="module")
+def sequence(frames):
+    """Sixty frames: the room's twelve, forwards and backwards."""
+    order = np.resize([*range(len(frames)), *range(len(frames) - 2, 0, -1)], COUNT)
+    grey = np.stack([mean_grey(frames[i].rgb) for i in order])
+    depth = np.stack([frames[i].depth for i in order])
+    return jnp.asarray(grey), jnp.asarray(depth), np.full(COUNT, SECONDS)
+
+
+@pytest.fixture(scope="module")
+def called(params, sequence):
+    """Poses and keyframe decisions of sixty calls."""
+    tracker, poses, keyframes = slam.init_tracker(params), [], []
+    for grey, depth, elapsed in zip(*sequence, strict=True):
+        tracker, info = slam.track(params, tracker, grey, depth, elapsed)
+        poses.append(np.asarray(info.T_world_cam.wxyz_xyz))
+        keyframes.append(bool(info.new_keyframe))
+    return np.stack(poses), keyframes
+
+
+def scanned(params, sequence):
+    def body(tracker, frame):
+        tracker, info = slam.track(params, tracker, *frame)
+        return tracker, (info.T_world_cam.wxyz_xyz, info.new_keyframe)
+
+    return jax.lax.scan(body, slam.init_tracker(params), sequence)[1]
+
+
+def test_a_scan_gives_the_poses_of_single_calls(params, sequence, called, room):
+    poses, keyframes = called
+    found, taken = jax.jit(scanned)(params, sequence)
+    np.testing.assert_allclose(found, poses, atol=2e-5)
+    assert list(taken) == keyframes
+    assert sum(keyframes) > 1
+    truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses
+    np.testing.assert_allclose(poses[11, 4:], truth[11, :3, 3], atol=0.03)
+
+
+def test_a_batch_of_recordings_is_tracked_at_once(params, sequence, called):
+    grey, depth, _ = sequence
+    starts = (0, 5)
+
+    def batch(x):
+        return jnp.stack([x[s : s + 4] for s in starts], axis=1)
+
+    tracker = jax.vmap(lambda _: slam.init_tracker(params))(jnp.arange(2))
+    track = jax.vmap(slam.track, in_axes=(None, 0, 0, 0, None))
+    infos = []
+    for images, depths in zip(batch(grey), batch(depth), strict=True):
+        tracker, info = track(params, tracker, images, depths, SECONDS)
+        infos.append(info)
+    info = infos[-1]
+    assert list(info.source) == [PoseSource.JOINT] * 2
+    poses, _ = called
+    np.testing.assert_allclose(info.T_world_cam.wxyz_xyz[0], poses[3], atol=2e-5)
+    # The second recording begins where its first frame was.
+    world = se3.matrices_of(poses)
+    expected = np.linalg.inv(world[5]) @ world[8]
+    np.testing.assert_allclose(info.T_world_cam.wxyz_xyz[1, 4:], expected[:3, 3], atol=0.02)
+
+
+def test_the_pose_has_gradients_to_images_depth_and_camera(params, sequence):
+    grey, depth, _ = sequence
+    tracker, _ = slam.track(params, slam.init_tracker(params), grey[0], depth[0], SECONDS)
+
+    @eqx.filter_jit
+    def distance(inputs):
+        params, image, depth = inputs
+        _, info = slam.track(params, tracker, image, depth, SECONDS)
+        return jnp.sum(info.T_world_cam.wxyz_xyz[4:] ** 2)
+
+    value, gradient = eqx.filter_value_and_grad(distance)((params, grey[3], depth[3]))
+    assert value > 0
+    by_params, by_image, by_depth = gradient
+    for part in (by_params.camera.fx, by_image, by_depth, by_params.network):
+        leaves = [x for x in jax.tree.leaves(part) if eqx.is_inexact_array(x)]
+        assert all(bool(jnp.all(jnp.isfinite(x))) for x in leaves)
+    assert float(jnp.max(jnp.abs(by_depth))) > 0
+    assert float(jnp.abs(by_params.camera.fx)) > 0
+    # Against a finite difference along the whole depth image, which the surface alone follows.
+    step = 1e-3
+    values = [distance((params, grey[3], depth[3] * (1 + sign * step))) for sign in (1, -1)]
+    along = float(jnp.sum(by_depth * depth[3]))
+    np.testing.assert_allclose(along, (values[0] - values[1]) / (2 * step), rtol=0.2)
+
+
+def test_one_program_serves_every_frame(params, sequence, compilations):
+    grey, depth, _ = sequence
+    tracker = slam.init_tracker(params)
+    tracker, _ = slam.track(params, tracker, grey[0], depth[0], SECONDS)
+    compilations.clear()
+    for i in (1, 5, 11):
+        tracker, _ = slam.track(params, tracker, grey[i], depth[i], SECONDS)
+    tracker, info = slam.track(params, tracker, jnp.zeros_like(grey[0]), jnp.zeros_like(depth[0]), SECONDS)
+    assert int(info.source) == PoseSource.LOST
+    assert not compilations
+
+
+def test_the_motion_model_is_a_velocity(params, sequence):
+    """A frame after twice the time is expected twice as far; a lost frame in between is time as well."""
+    grey, depth, _ = sequence
+    tracker = slam.init_tracker(params)
+    for i in range(3):
+        tracker, _ = slam.track(params, tracker, grey[i], depth[i], SECONDS)
+    motion = np.asarray(se3.log(tracker.T_previous_current))
+
+    def predicted(seconds):
+        later = eqx.tree_at(lambda t: t.since_tracked, tracker, jnp.asarray(seconds))
+        return np.asarray(se3.log(later.predicted_motion))
+
+    np.testing.assert_allclose(predicted(SECONDS), motion, atol=1e-6)
+    np.testing.assert_allclose(predicted(2 * SECONDS), 2 * motion, atol=1e-5)
+    # Without time stamps the motion is one per frame.
+    np.testing.assert_allclose(predicted(np.float32(0)), motion, atol=1e-6)
+    lost, _ = slam.track(params, tracker, jnp.zeros_like(grey[0]), jnp.zeros_like(depth[0]), SECONDS)
+    assert int(lost.lost_in_a_row) == 1
+    found, info = slam.track(params, lost, grey[4], depth[4], SECONDS)
+    assert int(info.source) != PoseSource.LOST
+    assert int(found.lost_in_a_row) == 0
+    np.testing.assert_allclose(found.motion_seconds, 2 * SECONDS, rtol=1e-5)
+
+
+def test_frames_that_were_left_out_are_not_lost(room, frames, config):
+    """Numbers jump where frames were dropped or could not be decoded: the motion model goes on."""
+    state = slam.init(room.camera, config)
+    for number, frame in ((0, frames[0]), (1, frames[1]), (9, frames[2])):
+        state, info = slam.step(state, frame, number=number)
+        assert info.tracked
+    assert int(state.tracker.lost_in_a_row) == 0
+    assert list(state.log.numbers) == [0, 1, 9]
+    assert state.num_lost == 0
+    assert state.next_frame == 10
