@@ -114,9 +114,14 @@ def _rewritten(value: Any, every: bool) -> Any:
         shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in value.jaxpr.invars]
         return jax.make_jaxpr(lambda *args: _run(value.jaxpr, value.consts, list(args), every))(*shapes)
     if isinstance(value, core.Jaxpr):
-        if any(_rounds(eqn, every=every) for eqn in _equations(value)):
-            raise NotImplementedError("TF32 emulation of a product within an open program.")
-        return value
+        # A program whose constants are given elsewhere: they are its first inputs while it is rewritten.
+        count = len(value.constvars)
+        closed = core.ClosedJaxpr(value.replace(constvars=(), invars=(*value.constvars, *value.invars)), ())
+        program = _rewritten(closed, every)
+        if program.consts:
+            raise NotImplementedError("TF32 emulation of an open program that gains constants.")
+        inputs = program.jaxpr.invars
+        return program.jaxpr.replace(constvars=inputs[:count], invars=inputs[count:])
     if isinstance(value, tuple):
         items = [_rewritten(item, every) for item in value]
         return type(value)(*items) if hasattr(value, "_fields") else tuple(items)

@@ -211,7 +211,7 @@ def test_bad_settings_are_refused():
     points = np.zeros((10, 3))
     with pytest.raises(InputError, match="change k"):
         prepare_points(points, k=2)
-    with pytest.raises(InputError, match="positive"):
+    with pytest.raises(InputError, match="above 0"):
         prepare_points(points, config=replace(POINTS, voxel_size=-1.0))
     with pytest.raises(InputError, match="one for each"):
         prepare_gaussians(points, np.zeros((9, 3, 3)))

@@ -93,24 +93,24 @@ def test_the_pose_has_gradients_to_images_depth_and_camera(params, sequence):
     tracker, _ = slam.track(params, slam.init_tracker(params), grey[0], depth[0], SECONDS)
 
     @eqx.filter_jit
-    def distance(inputs):
+    def forward(inputs):
+        """The camera's way along its first viewing direction."""
         params, image, depth = inputs
         _, info = slam.track(params, tracker, image, depth, SECONDS)
-        return jnp.sum(info.T_world_cam.wxyz_xyz[4:] ** 2)
+        return info.T_world_cam.wxyz_xyz[6]
 
-    value, gradient = eqx.filter_value_and_grad(distance)((params, grey[3], depth[3]))
-    assert value > 0
+    gradient = eqx.filter_grad(forward)((params, grey[3], depth[3]))
     by_params, by_image, by_depth = gradient
     for part in (by_params.camera.fx, by_image, by_depth, by_params.network):
         leaves = [x for x in jax.tree.leaves(part) if eqx.is_inexact_array(x)]
         assert all(bool(jnp.all(jnp.isfinite(x))) for x in leaves)
     assert float(jnp.max(jnp.abs(by_depth))) > 0
     assert float(jnp.abs(by_params.camera.fx)) > 0
-    # Against a finite difference along the whole depth image, which the surface alone follows.
-    step = 1e-3
-    values = [distance((params, grey[3], depth[3] * (1 + sign * step))) for sign in (1, -1)]
+    # Against a finite difference: all depths scaled, which the surface alone follows.
+    step = 5e-3
+    values = [forward((params, grey[3], depth[3] * (1 + sign * step))) for sign in (1, -1)]
     along = float(jnp.sum(by_depth * depth[3]))
-    np.testing.assert_allclose(along, (values[0] - values[1]) / (2 * step), rtol=0.2)
+    np.testing.assert_allclose(along, (values[0] - values[1]) / (2 * step), rtol=0.02)
 
 
 def test_one_program_serves_every_frame(params, sequence, compilations):
@@ -120,7 +120,8 @@ def test_one_program_serves_every_frame(params, sequence, compilations):
     compilations.clear()
     for i in (1, 5, 11):
         tracker, _ = slam.track(params, tracker, grey[i], depth[i], SECONDS)
-    tracker, info = slam.track(params, tracker, jnp.zeros_like(grey[0]), jnp.zeros_like(depth[0]), SECONDS)
+    black, nothing = np.zeros(grey[0].shape, np.float32), np.zeros(depth[0].shape, np.float32)
+    tracker, info = slam.track(params, tracker, black, nothing, SECONDS)
     assert int(info.source) == PoseSource.LOST
     assert not compilations
 

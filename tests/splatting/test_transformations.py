@@ -51,7 +51,9 @@ def test_a_batch_of_cameras_is_a_vmap(view):
     singles = [program(scene, *view) for view in views]
     assert_same(losses, jnp.stack([value for value, _ in singles]))
     for i, (_, (_, of_camera, of_pose)) in enumerate(singles):
-        assert_same(jax.tree.map(lambda x, i=i: x[i], (of_cameras, of_poses)), (of_camera, of_pose))
+        # Sums over all pixels, part of which cancel.
+        batched = jax.tree.map(lambda x, i=i: x[i], (of_cameras, of_poses))
+        assert_same(batched, (of_camera, of_pose), tolerance=1e-4)
     assert_same(of_scene.means, sum(of_scene.means for _, (of_scene, _, _) in singles))
 
 
@@ -62,7 +64,7 @@ def test_filter_grad_takes_a_whole_map(view):
     assert found.valid is None
     _, (expected, _, _) = program(*view)
     for name in GAUSSIAN_PARAMETERS:
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        assert_same(getattr(found, name), getattr(expected, name))
     stepped = eqx.apply_updates(scene, jax.tree.map(lambda slope: -1e-3 * slope, found))
     np.testing.assert_array_equal(stepped.valid, scene.valid)
     assert not np.array_equal(stepped.means, scene.means)

@@ -44,7 +44,7 @@ def test_centroids_are_exact(rng):
 
 def crowd(rng, count: int) -> Features:
     """Descriptors that differ little, so that rounding exchanges nearest neighbours."""
-    common = rng.normal(size=(1, 64))
+    common = np.cos(np.arange(64.0))
     descriptors = common + 0.02 * rng.normal(size=(count, 64))
     descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
     return make_features(rng.uniform(0, 640, (count, 2)), descriptors)
