@@ -254,7 +254,7 @@ def _window_rows(
     inverse = 1 / jnp.maximum(z, 1e-6)
     shifts = jnp.arange(-window, window + 1, dtype=x.dtype)
     du, dv = (shift.reshape(-1, 1) for shift in jnp.meshgrid(shifts, shifts))
-    u = jnp.round(camera.fx * x * inverse + camera.cx) + du
-    v = jnp.round(camera.fy * y * inverse + camera.cy) + dv
-    inside = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    u = jnp.round(camera.fx * x * inverse + camera.cx)[None] + du
+    v = jnp.round(camera.fy * y * inverse + camera.cy)[None] + dv
+    inside = (z > 0)[None] & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     return jnp.where(inside, v * camera.width + u, 0).astype(jnp.int32), inside

@@ -144,7 +144,7 @@ def weighted_residuals(weights: Float[Array, "6 N"], residuals: Float[Array, "3 
 def point_moments(points: Float[Array, "3 N"]) -> Float[Array, "10 N"]:
     """Products of two entries of (p, 1) for each point p, as upper triangles."""
     h = jnp.concatenate([points, jnp.ones_like(points[:1])])
-    return jnp.concatenate([h[i] * h[i:] for i in range(4)])
+    return jnp.concatenate([h[i : i + 1] * h[i:] for i in range(4)])
 
 
 @exact_products

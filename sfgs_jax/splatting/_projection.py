@@ -14,7 +14,6 @@ Source: Zwicker et al., EWA splatting, 2002; Kerbl et al., 3D Gaussian splatting
 """
 
 import math
-from collections.abc import Sequence
 from functools import partial, reduce
 from typing import NamedTuple
 
@@ -24,7 +23,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Bool, Float
 
-from sfgs_jax.arrays import map_used_rows
+from sfgs_jax.arrays import dot, map_used_rows
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians
@@ -130,7 +129,7 @@ def _project_rows(
     # Relative to the camera before anything else: far from the origin float32 has no digits to spare.
     origin = T_world_cam.wxyz_xyz[4:]
     offset = [mean - origin[i] for i, mean in enumerate(rows.means)]
-    z = _dot(R_cam_world[2], offset)
+    z = dot(R_cam_world[2], offset)
     used = valid & (z > config.near) & (z < config.far) & _computable(rows, camera, z)
 
     # Lanes not in use are replaced on the way in, so that no NaN arises there, nor in a gradient.
@@ -140,13 +139,13 @@ def _project_rows(
     logits = jnp.where(used, rows.opacity_logits, 0)
     sh = jnp.where(used[:, None, None], rows.sh, 0)
 
-    x, y, z = (_dot(row, offset) for row in R_cam_world)
+    x, y, z = (dot(row, offset) for row in R_cam_world)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     m1, m2 = _image_axes(x, y, z, quaternion, scale, camera, R_cam_world)
 
-    raw_uu, raw_vv, uv = _dot(m1, m1), _dot(m2, m2), _dot(m1, m2)
+    raw_uu, raw_vv, uv = dot(m1, m1), dot(m2, m2), dot(m1, m2)
     minors = [m1[i] * m2[j] - m1[j] * m2[i] for i, j in ((0, 1), (1, 2), (2, 0))]
-    raw_determinant = _dot(minors, minors)
+    raw_determinant = dot(minors, minors)
     determinant = raw_determinant + LOW_PASS * (raw_uu + raw_vv) + LOW_PASS**2
     uu, vv = raw_uu + LOW_PASS, raw_vv + LOW_PASS
     p = jnp.sqrt(vv / determinant)
@@ -171,10 +170,6 @@ def _project_rows(
 
 def _columns(vectors: Float[Array, "n d"]) -> list[Array]:
     return [vectors[:, i] for i in range(vectors.shape[1])]
-
-
-def _dot(a: Array | Sequence[Array], b: Sequence[Array]) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _image_axes(
@@ -205,8 +200,8 @@ def _image_axes(
     j1 = [camera.fx / z * (right[i] - slope_u * forward[i]) for i in range(3)]
     j2 = [camera.fy / z * (down[i] - slope_v * forward[i]) for i in range(3)]
     axes = _rotation_columns(quaternion)
-    m1 = [_dot(j1, axis) * s for axis, s in zip(axes, scale, strict=True)]
-    m2 = [_dot(j2, axis) * s for axis, s in zip(axes, scale, strict=True)]
+    m1 = [dot(j1, axis) * s for axis, s in zip(axes, scale, strict=True)]
+    m2 = [dot(j2, axis) * s for axis, s in zip(axes, scale, strict=True)]
     return m1, m2
 
 

@@ -6,6 +6,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sfgs_jax.geometry import se3
 from sfgs_jax.gicp._exact_products import exact_products
 
 
@@ -43,7 +44,7 @@ def absolute_orientation(
     total = jnp.sum(weights)
     share = weights / jnp.where(total > 0, total, 1)
     mean_source, mean_target = share @ source, share @ target
-    p, q = source - mean_source, target - mean_target
+    p, q = source - mean_source[None], target - mean_target[None]
     correlation = jnp.einsum("n,na,nb->ab", share, p, q)
     matrix = jnp.einsum("ijab,ab->ij", jnp.asarray(_QUATERNION_MATRIX, correlation.dtype), correlation)
     values, vectors = jnp.linalg.eigh(matrix)
@@ -58,11 +59,5 @@ def absolute_orientation(
     known = length > 1e-8
     wxyz = jnp.where(known, nearest * jax.lax.rsqrt(jnp.where(known, length, 1)), vectors[:, 3])
     x = jnp.concatenate([wxyz, jnp.zeros(3, wxyz.dtype)])
-    turned = _rotate(x[:4], mean_source)
+    turned = se3.rotate(x[:4], mean_source)
     return jaxlie.SE3(x.at[4:].set(mean_target - turned)), unique
-
-
-def _rotate(wxyz: Float[Array, "4"], point: Float[Array, "3"]) -> Float[Array, "3"]:
-    w, axis = wxyz[0], wxyz[1:]
-    across = 2 * jnp.cross(axis, point)
-    return point + w * across + jnp.cross(axis, across)

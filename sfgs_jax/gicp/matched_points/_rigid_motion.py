@@ -185,8 +185,8 @@ def _centred_matches(
     share = used.astype(p.dtype) / jnp.maximum(jnp.sum(used), 1).astype(p.dtype)
     frames = CentredFrames(lax.stop_gradient(share @ p), lax.stop_gradient(share @ q))
     matches = _Matches(
-        jnp.where(used[:, None], p - frames.source, 0),
-        jnp.where(used[:, None], q - frames.target, 0),
+        jnp.where(used[:, None], p - frames.source[None], 0),
+        jnp.where(used[:, None], q - frames.target[None], 0),
         weights,
         used,
     )

@@ -169,8 +169,7 @@ def _apart(a: jaxlie.SE3, b: jaxlie.SE3) -> Float[Array, ""]:
 
 def extent(T: jaxlie.SE3) -> Float[Array, ""]:
     """Size of a motion, metres or radians, the larger."""
-    moved = se3.log(T)
-    return jnp.maximum(jnp.linalg.norm(moved[:3]), jnp.linalg.norm(moved[3:]))
+    return jnp.maximum(*se3.extent(T))
 
 
 def _choose(condition: Bool[Array, ""], a: jaxlie.SE3, b: jaxlie.SE3) -> jaxlie.SE3:

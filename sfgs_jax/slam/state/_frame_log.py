@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from sfgs_jax.arrays import pytree
-from sfgs_jax.geometry import Trajectory, se3
+from sfgs_jax.geometry import Trajectory, se3, slerp
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 
 
@@ -81,8 +80,8 @@ def trajectory_of(log: FrameLog, graph: KeyframeGraph) -> Trajectory:
         off = np.linalg.inv(tracked) @ T[number]
         share = (log.numbers[between] - start)[:, None] / (end - start)
         correction = np.tile(np.eye(4), (len(share), 1, 1))
-        turn = Rotation.from_matrix(off[:3, :3]).as_rotvec()
-        correction[:, :3, :3] = Rotation.from_rotvec(share * turn).as_matrix()
+        turn = np.broadcast_to(off[:3, :3], (len(share), 3, 3))
+        correction[:, :3, :3] = slerp(correction[:, :3, :3], turn, share)
         correction[:, :3, 3] = share * off[:3, 3]
         poses[between] = poses[between] @ correction
     return Trajectory(log.timestamps, poses)
