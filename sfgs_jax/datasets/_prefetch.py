@@ -2,7 +2,7 @@
 
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets._recording import Recording
@@ -11,7 +11,7 @@ from sfgs_jax.geometry import Frame
 
 def prefetch(
     recording: Recording, *, ahead: int = 4, first: int = 0
-) -> Iterator[tuple[int, Frame | FrameError]]:
+) -> Generator[tuple[int, Frame | FrameError], None, None]:
     """Frames of a recording in order, decoded up to `ahead` frames before they are asked for.
 
     A frame that can't be used is yielded as its `FrameError`. Any other exception is raised in the

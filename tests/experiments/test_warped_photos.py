@@ -27,7 +27,8 @@ def test_the_warped_image_shows_each_place_where_it_should_be(photos):
         places = transfer(pair.H_b_a, points.astype(np.float64))
         inside = np.all((places > 1) & (places < [178, 118]), axis=1)
         assert inside.sum() > 100
-        there = cv2.remap(pair.image_b, places[None, inside].astype(np.float32), None, cv2.INTER_LINEAR)[0]
+        x, y = places[None, inside].astype(np.float32).transpose(2, 0, 1)
+        there = cv2.remap(pair.image_b, x, y, cv2.INTER_LINEAR)[0]
         here = pair.image_a[points[inside, 1], points[inside, 0]]
         assert np.abs(there - here).mean() < 0.02
         assert np.linalg.norm(places - points, axis=1).max() > 10

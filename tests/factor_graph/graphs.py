@@ -38,6 +38,23 @@ def eye(*diagonal: float):
     return jnp.asarray(np.diag(np.repeat(diagonal, 3)), dtype())
 
 
+def blocks_of_ring(graph: FactorGraph) -> tuple[PosePrior, RelativePose]:
+    """The factors of a `ring`."""
+    prior, edges = graph.factors
+    assert isinstance(prior, PosePrior)
+    assert isinstance(edges, RelativePose)
+    return prior, edges
+
+
+def blocks_of_bundle(graph: FactorGraph) -> tuple[PosePrior, RelativePose, Reprojection]:
+    """The factors of a `bundle`."""
+    prior, chain, seen = graph.factors
+    assert isinstance(prior, PosePrior)
+    assert isinstance(chain, RelativePose)
+    assert isinstance(seen, Reprojection)
+    return prior, chain, seen
+
+
 def bundle(rng, poses: int = 6, landmarks: int = 40, noise: float = 0.5, share: float = 0.7, **options):
     """A graph of cameras in a row that see a share of the points before them, its start and its truth."""
     tangents = np.zeros((poses, 6))

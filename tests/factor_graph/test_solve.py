@@ -24,7 +24,7 @@ from sfgs_jax.factor_graph import (
 )
 from sfgs_jax.factor_graph.solver import build_normal_equations, compute_step, symmetric_rank_k_blocks
 from sfgs_jax.geometry import se3
-from tests.factor_graph.graphs import CAMERA, bundle, eye, ring
+from tests.factor_graph.graphs import CAMERA, blocks_of_bundle, blocks_of_ring, bundle, eye, ring
 
 SOLVERS = ("dense", "sparse", "pcg")
 EXACT = SolverConfig(pcg_tolerance=1e-7, pcg_max_iterations=500)
@@ -112,7 +112,7 @@ def test_every_solver_reaches_the_float64_optimum(rng, solver, method):
 
 def test_a_long_graph_is_dissected_and_solved_and_grows_without_compiling(rng, compilations):
     whole, start, truth = ring(rng, n=140, noise=0.003, loops=20)
-    prior, edges = whole.factors
+    prior, edges = blocks_of_ring(whole)
     before = edges.poses.max(axis=1) < 139
     fewer = RelativePose(edges.poses, edges.T_a_b, edges.matrices, valid=before)
     first = FactorGraph([prior, fewer], num_poses=140, free_poses=np.arange(140) < 139)
@@ -171,9 +171,12 @@ def test_fixed_variables_stay(rng):
 
 def growing(rng, poses: int, observations: int, capacities=None):
     graph, start, _ = bundle(rng, poses=8, landmarks=60)
-    prior, chain, seen = graph.factors
+    prior, chain, seen = blocks_of_bundle(graph)
     room = 600 - len(seen.valid)
-    pad = lambda x: np.concatenate([np.asarray(x), np.zeros((room, *x.shape[1:]), x.dtype)])  # noqa: E731
+
+    def pad(x) -> np.ndarray:
+        return np.concatenate([np.asarray(x), np.zeros((room, *x.shape[1:]), x.dtype)])
+
     valid = pad(seen.valid) & (np.arange(600) < observations) & (pad(seen.poses)[:, 0] < poses)
     pixels = jnp.asarray(np.where(valid[:, None], pad(seen.pixels), np.nan))
     seen = Reprojection(pad(seen.poses)[:, 0], pad(seen.landmarks), pixels, CAMERA, valid=valid)
@@ -255,10 +258,9 @@ def test_a_landmark_behind_the_cameras_stays_and_spoils_nothing(rng, solver):
     assert solution.status == Status.SINGULAR
     np.testing.assert_array_equal(solution.values.landmarks[3], behind.landmarks[3])
     # The others end where they do without it.
-    prior, chain, seen = graph.factors
-    without = Reprojection(
-        seen.poses[:, 0], seen.landmarks, seen.pixels, CAMERA, valid=np.asarray(seen.landmarks) != 3
-    )
+    prior, chain, seen = blocks_of_bundle(graph)
+    landmarks = np.asarray(seen.landmarks)
+    without = Reprojection(seen.poses[:, 0], landmarks, seen.pixels, CAMERA, valid=landmarks != 3)
     fewer = FactorGraph([prior, chain, without], num_poses=6, num_landmarks=40, linear_solver=solver)
     expected = solve(fewer, behind).values
     np.testing.assert_allclose(solution.values.poses.wxyz_xyz, expected.poses.wxyz_xyz, atol=2e-3)
@@ -281,8 +283,9 @@ def test_nothing_moves_where_all_is_fixed_and_blocks_may_be_empty(rng):
 
 def test_a_measurement_that_is_not_finite_diverges_and_changes_nothing(rng):
     graph, start, _ = bundle(rng)
-    prior, chain, seen = graph.factors
-    broken = Reprojection(seen.poses[:, 0], seen.landmarks, seen.pixels.at[3].set(jnp.nan), CAMERA)
+    prior, chain, seen = blocks_of_bundle(graph)
+    pixels = seen.pixels.at[3].set(jnp.nan)
+    broken = Reprojection(seen.poses[:, 0], np.asarray(seen.landmarks), pixels, CAMERA)
     solution = solve(FactorGraph([prior, chain, broken], num_poses=6, num_landmarks=40), start)
     assert solution.status == Status.DIVERGED
     np.testing.assert_array_equal(solution.values.landmarks, start.landmarks)
@@ -322,7 +325,7 @@ def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(flo
     base, start, _ = bundle(rng, poses=3, landmarks=8, share=1.0)
 
     def graph(change, weight):
-        prior, chain, seen = base.factors
+        prior, chain, seen = blocks_of_bundle(base)
         # Moved on the group: Jacobians in closed form hold for rotations alone.
         chain = RelativePose(chain.poses, se3.compose(chain.T_a_b, se3.exp(change)), chain.matrices)
         rows = {"range": jnp.full(2, 3.1), "weight": weight}

@@ -49,8 +49,9 @@ def test_with_respect_to_depth(float64, rng):
     camera = Camera(*jnp.asarray([75.0, 75.0, 39.5, 29.5]), width=80, height=60)
 
     def pose(source, target):
-        clouds = (prepare(x, camera, config=CONFIG) for x in (source, target))
-        return align(*clouds, se3.from_matrix(motion, jnp.float64), config=CONFIG).T_target_source.wxyz_xyz
+        source, target = (prepare(x, camera, config=CONFIG) for x in (source, target))
+        start = se3.from_matrix(motion, jnp.float64)
+        return align(source, target, start, config=CONFIG).T_target_source.wxyz_xyz
 
     compare(pose, (source, target), rng, step=1e-8)
 
@@ -60,10 +61,10 @@ def test_with_respect_to_points_and_a_prior(float64, rng):
     information = jnp.diag(jnp.asarray([1e5, 1e5, 1e5, 1e4, 1e4, 1e4]))
 
     def pose(source, target, mean):
-        clouds = (prepare_points(x, config=POINTS) for x in (source, target))
+        source, target = (prepare_points(x, config=POINTS) for x in (source, target))
         prior = MotionPrior(se3.exp(mean), information)
         start = se3.from_matrix(MOTION, jnp.float64)
-        return align(*clouds, start, prior=prior, config=CONFIG).T_target_source.wxyz_xyz
+        return align(source, target, start, prior=prior, config=CONFIG).T_target_source.wxyz_xyz
 
     compare(pose, (source, target, se3.log(se3.from_matrix(MOTION, jnp.float64))), rng, step=1e-8)
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from sfgs_jax.arrays import INDICES, InputError
 from sfgs_jax.gicp.clouds import (
@@ -35,7 +35,7 @@ def test_voxel_means_are_those_of_a_dictionary(rng):
     )
     cells: dict[tuple[int, ...], list[int]] = {}
     for i in np.flatnonzero(valid):
-        cells.setdefault(tuple(np.floor(points[i] / np.float32(0.1)).astype(int)), []).append(i)
+        cells.setdefault(tuple(np.floor(points[i] / np.float32(0.1)).astype(int)), []).append(int(i))
     assert int(means.valid.sum()) == len(cells)
     assert means.dropped == 0
     assert occupied_cells(jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.1)) == len(cells)
@@ -85,7 +85,7 @@ def test_the_nearest_point_is_that_of_a_tree(rng, count):
     grid = build_hash(jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.05))
     index, found = nearest(grid, jnp.asarray(queries.T), slots=250)
     assert int(neighbouring_runs(grid, jnp.asarray(queries.T)).ends[-1].max()) <= 250
-    distance, _ = cKDTree(points[valid]).query(queries)
+    distance, _ = KDTree(points[valid]).query(queries)
     inside = distance < 0.05
     assert inside.mean() > 0.5
     assert np.all(np.asarray(found)[inside])
@@ -110,14 +110,14 @@ def test_covariances_are_those_of_the_k_nearest(rng):
         jnp.asarray(points), jnp.asarray(valid), jnp.asarray(0.15), k=20, min_count=6, slots=250, doublings=0
     )
     kept = points[valid].astype(np.float64)
-    distance, index = cKDTree(kept).query(kept, k=20)
+    distance, index = KDTree(kept).query(kept, k=20)
     exact = distance[:, -1] < 0.15
     assert exact.mean() > 0.8
     assert found.dropped == 0
     counts = np.asarray(found.counts)[valid][exact]
     assert counts.min() >= 20
     assert counts.mean() < 20.2  # those at equal distances
-    expected = np.stack([np.cov(kept[i].T, bias=True) for i in index[exact]])
+    expected = np.stack([np.cov(kept[i].T, bias=True) for i in np.asarray(index)[exact]])
     alike = counts == 20
     got = np.asarray(found.covariances)[valid][exact][alike]
     for entry, (i, j) in enumerate(INDICES):

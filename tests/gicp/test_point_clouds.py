@@ -41,7 +41,7 @@ def moved(points: np.ndarray, T_target_source: np.ndarray) -> np.ndarray:
     return points @ T[:3, :3].T + T[:3, 3]
 
 
-def error(result, known=MOTION) -> tuple[float, float]:
+def error(result, known: np.ndarray = MOTION) -> tuple[float, float]:
     return motion_error(np.asarray(se3.matrix(result.T_target_source), np.float64), known)
 
 

@@ -14,6 +14,7 @@ def test_redkitchen_neighbours_are_aligned_from_the_identity(sfgs_data):
 
     def load(i: int):
         raw = cv2.imread(str(folder / f"frame-{i:06d}.depth.png"), cv2.IMREAD_UNCHANGED)
+        assert raw is not None
         depth = np.where(raw == 65535, 0, raw).astype(np.float32) / 1000
         return prepare(depth, camera), np.loadtxt(folder / f"frame-{i:06d}.pose.txt")
 

@@ -70,10 +70,10 @@ def test_ssim_gradients_agree_with_finite_differences(images, rng):
     gradients = jax.grad(ssim, argnums=(0, 1))(a, b, mask)
     for i, gradient in enumerate(gradients):
         direction = jnp.asarray(rng.normal(size=a.shape))
-        moved = [
+        (a_up, b_up), (a_down, b_down) = (
             [x + sign * 1e-6 * direction if i == j else x for j, x in enumerate((a, b))] for sign in (1, -1)
-        ]
-        numerical = float(ssim(*moved[0], mask) - ssim(*moved[1], mask)) / 2e-6
+        )
+        numerical = float(ssim(a_up, b_up, mask) - ssim(a_down, b_down, mask)) / 2e-6
         assert numerical == pytest.approx(float(jnp.sum(gradient * direction)), rel=1e-6)
 
 

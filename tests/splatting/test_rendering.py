@@ -101,6 +101,7 @@ def test_colours_and_features_can_be_given():
     out = render(scene, camera, T, None, colours, features, config=CONFIG)
     expected = eqx.filter_jit(reference.render)(scene, camera, T, None, colours, features, config=CONFIG)
     assert_close(images_of(out), images_of(expected), 1e-4)
+    assert out.features is not None
     np.testing.assert_allclose(out.features, jnp.stack([out.alpha] * 5, axis=-1), atol=1e-6)
     by_harmonics = render(replace(scene, sh=rgb_to_sh(colours)[:, None]), camera, T, config=CONFIG)
     np.testing.assert_allclose(by_harmonics.rgb, out.rgb, atol=1e-5)

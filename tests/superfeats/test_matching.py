@@ -37,8 +37,9 @@ def direct(a: Features, b: Features, floor: float) -> dict[int, tuple[int, float
 
 @pytest.mark.parametrize("floor", [0.0, 0.8, 0.95])
 def test_matches_are_those_of_the_definition(pair, floor):
-    matches = match(*pair, min_similarity=floor)
-    expected = direct(*pair, floor)
+    a, b = pair
+    matches = match(a, b, min_similarity=floor)
+    expected = direct(a, b, floor)
     assert len(expected) > 5
     assert {int(i) for i in np.flatnonzero(matches.valid)} == expected.keys()
     for i, (j, similarity) in expected.items():

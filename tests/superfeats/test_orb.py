@@ -37,7 +37,7 @@ def test_keypoints_follow_a_shifted_image(blocks):
 def test_similarity_is_that_of_the_hamming_distance(blocks):
     features = extract_orb(blocks, max_keypoints=50)
     grey = np.rint(blocks * 255).astype(np.uint8)
-    found, bits = cv2.ORB_create(nfeatures=50).detectAndCompute(grey, None)
+    found, bits = cv2.ORB.create(nfeatures=50).detectAndCompute(grey, None)
     order = np.argsort([-keypoint.response for keypoint in found], kind="stable")[:50]
     hamming = np.bitwise_count(bits[order][:, None] ^ bits[order][None]).sum(axis=2)
     n = int(features.valid.sum())

@@ -12,7 +12,13 @@ import optax
 import pytest
 
 from sfgs_jax.arrays import InputError
-from sfgs_jax.superfeats.network import DESCRIPTOR_SIZE, NetworkConfig, fold, initialise_network
+from sfgs_jax.superfeats.network import (
+    DESCRIPTOR_SIZE,
+    NetworkConfig,
+    NormalisedConvolution,
+    fold,
+    initialise_network,
+)
 from sfgs_jax.superfeats.training import (
     Batch,
     LossWeights,
@@ -49,7 +55,7 @@ def made_up_batch(rng: np.random.Generator, pairs: int) -> Batch:
         descriptors=unit(jnp.asarray(descriptors)),
         reliability=jnp.asarray(rng.random((pairs, 2, CELLS, CELLS)), jnp.float32),
         labelled=jnp.ones((pairs, 2, CELLS, CELLS)),
-        points=jnp.tile(np.stack([points, points + np.float32([8, 0])]), (pairs, 1, 1, 1)),
+        points=jnp.tile(np.stack([points, points + np.array([8, 0], np.float32)]), (pairs, 1, 1, 1)),
         seen=jnp.ones((pairs, len(points)), bool),
         H_b_a=jnp.tile(jnp.eye(3).at[0, 2].set(8.0), (pairs, 1, 1)),
         planar=jnp.ones(pairs),
@@ -102,6 +108,8 @@ def test_statistics_follow_the_batches(rng):
     state, _ = run(batch, 3, LossWeights())
     before = initialise_network(jax.random.key(0), SMALL).levels[0].reduce
     after = state.network.levels[0].reduce
+    assert isinstance(before, NormalisedConvolution)
+    assert isinstance(after, NormalisedConvolution)
     assert not np.allclose(after.mean, before.mean)
     assert not np.allclose(after.variance, before.variance)
 
