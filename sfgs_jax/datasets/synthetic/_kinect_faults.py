@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from sfgs_jax.arrays import check_positive, check_range
-from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.geometry import Camera
 
 BAND_DEPTH = 2.0
 """Depth at which the amplitude of the bands is given, metres."""
@@ -16,7 +17,7 @@ NUM_EXPOSURES = 5
 _FRAME_INTERVAL = 1 / 30
 _BAND_PERIODS = (1.0, 2.0, 3.0)
 _BAND_WEIGHTS = (0.5, 1.0, 0.5)
-_BAND_TILT = 0.3
+_BAND_TILT = 0.1
 """Shift of the bands between the middle and the last row, in periods."""
 _EXTRINSIC_STREAM, _BAND_STREAM = 1, 2
 """Random streams of a seed, other than the place's own."""
@@ -34,7 +35,7 @@ class KinectFaults:
     depth_bands: float = 0.0
     """Largest error of depth at 2 m, metres, in smooth vertical bands; it grows with depth squared."""
     depth_delay: float = 0.0
-    """Time from the exposure of colour's middle row to that of depth's, seconds; negative if depth is first."""
+    """Time from colour's middle row to depth's, seconds; negative if depth is exposed first."""
     colour_readout: float = 0.0
     """Time from the exposure of colour's first row to that of its last, seconds."""
     depth_readout: float = 0.0
@@ -60,7 +61,7 @@ class KinectFaults:
         check_range(self, 0, 0.1, "extrinsic_shift", "extrinsic_turn")
 
     def any(self) -> bool:
-        """Whether one of them is turned on."""
+        """True if one of them is turned on."""
         return self != KinectFaults(gain_period=self.gain_period)
 
     def gain(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -75,20 +76,16 @@ class KinectFaults:
 
     def T_colour_depth(self, seed: int) -> Float[np.ndarray, "4 4"]:
         """Pose of the depth camera in the colour camera, which registration takes to be the identity."""
-        shift, turn = np.random.default_rng([seed, _EXTRINSIC_STREAM]).normal(size=(2, 3))
-        tangent = np.concatenate(
-            [
-                self.extrinsic_shift * shift / np.linalg.norm(shift),
-                self.extrinsic_turn * turn / np.linalg.norm(turn),
-            ]
-        )
-        # Turned by exp, shifted as it says: the length of the translation is the setting.
-        T = np.array(se3.to_matrices(se3.exp(np.asarray(tangent[None], np.float32))))[0]
-        T[:3, 3] = tangent[:3]
+        directions = np.random.default_rng([seed, _EXTRINSIC_STREAM]).normal(size=(2, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        shift, turn = self.extrinsic_shift * directions[0], self.extrinsic_turn * directions[1]
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        T[:3, 3] = shift
         return T
 
     def inverse_depth_offsets(self, camera: Camera, seed: int) -> Float[np.ndarray, "h w"]:
-        """What is added to inverse depth, 1/m: depth z is measured as 1 / (1 / z + offset)."""
+        """The bands as errors of inverse depth, 1/m: depth z is measured as 1 / (1 / z + offset)."""
         phases = np.random.default_rng([seed, _BAND_STREAM]).uniform(0, 2 * np.pi, len(_BAND_PERIODS))
         u, v = np.meshgrid(np.linspace(0, 1, camera.width), np.linspace(-1, 1, camera.height))
         pattern = sum(
@@ -123,8 +120,8 @@ KINECT_V1 = KinectFaults(
 
 Bands: -13 to +7 mm at 2 m in 7-Scenes' RedKitchen; Herrera, Kannala and Heikkilä, Joint Depth and Color
 Camera Calibration with Distortion Correction, 2012. Delay: the two streams run freely, so up to half a frame;
-TUM's fr1_rpy has 8 ms by its stamps, up to 17. Readout: colour about 30 ms and depth 15 to 30 ms in fr1_rpy;
-both sensors have rolling shutters by Ringaby and Forssén, Scan Rectification for Structured Light Range Sensors
+TUM's fr1_rpy has 8 ms by its stamps, up to 17. Readout: colour about 30 ms and depth 15 to 30 ms in fr1_rpy.
+Both sensors have rolling shutters: Ringaby and Forssén, Scan Rectification for Structured Light Range Sensors
 with Rolling Shutters, 2011. Exposure, gain and extrinsics are assumed: indoor light, automatic exposure,
 and the error of a calibration that was done once for all Kinects.
 """

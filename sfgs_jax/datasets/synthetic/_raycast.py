@@ -87,7 +87,9 @@ def cast_rows(
     return _nearest(forms_of, order, num_groups, *_ray_slopes(camera, pixels))
 
 
-def _ray_slopes(camera: Camera, pixels: Float[Array, "*n 2"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+def _ray_slopes(
+    camera: Camera, pixels: Float[Array, "*n 2"]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     """x and y of the rays (x, y, 1) through pixels."""
     return (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy
 
