@@ -28,7 +28,7 @@ def colour_by_rows(
     height, width = camera.shape
     centre_rows, corner_rows = (jnp.arange(n, dtype=jnp.float32) for n in (height, height + 1))
     rows = jnp.concatenate([centre_rows, corner_rows - 0.5])
-    first_column = jnp.concatenate([jnp.zeros(height), jnp.full(height + 1, -0.5)])
+    first_column = jnp.where(jnp.arange(2 * height + 1) < height, 0, jnp.float32(-0.5))
     columns = first_column[:, None] + jnp.arange(_padded(width + 1), dtype=jnp.float32)[None]
     pixels = jnp.stack([columns, jnp.broadcast_to(rows[:, None], columns.shape)], axis=-1)
 
@@ -40,7 +40,8 @@ def colour_by_rows(
         return total + (rgb[:height, :width] + corners) / 2, None
 
     instants = len(T_world_centre.wxyz_xyz)
-    total, _ = jax.lax.scan(at_instant, jnp.zeros((height, width, 3)), (T_world_centre, T_world_corner))
+    black = jnp.zeros((height, width, 3), jnp.float32)
+    total, _ = jax.lax.scan(at_instant, black, (T_world_centre, T_world_corner))
     return total / instants
 
 
