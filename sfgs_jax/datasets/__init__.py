@@ -26,4 +26,6 @@ from sfgs_jax.datasets.image_sets import read_pair_list as read_pair_list
 from sfgs_jax.datasets.image_sets import read_photos as read_photos
 from sfgs_jax.datasets.image_sets import read_scannet_1500 as read_scannet_1500
 from sfgs_jax.datasets.image_sets import recording_pairs as recording_pairs
+from sfgs_jax.datasets.synthetic import KINECT_V1 as KINECT_V1
+from sfgs_jax.datasets.synthetic import KinectFaults as KinectFaults
 from sfgs_jax.datasets.synthetic import SyntheticRecording as SyntheticRecording

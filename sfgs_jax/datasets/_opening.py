@@ -51,7 +51,8 @@ def open_recording(
 
     Args:
         source: a folder; or "synthetic" or "synthetic:frames=60,width=160,height=120,seed=1,noise=1" for the
-            built-in synthetic room; or "synthetic:place=ring,frames=1000" for another place.
+            built-in synthetic room; or "synthetic:place=ring,frames=1000" for another place, and with
+            "kinect=1" a Kinect's faults.
         dataset: one of `LAYOUTS`; None recognises the layout.
         options: units, intrinsics and choice of frames; None means the defaults.
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Shaped
 from sfgs_jax.arrays import InputError, write_atomically
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.datasets.files import depth_units
-from sfgs_jax.geometry import Camera, Trajectory, format_tum
+from sfgs_jax.geometry import Camera, Frame, Trajectory, format_tum
 
 Layout = Literal["tum", "replica", "folder"]
 
@@ -54,12 +54,19 @@ def write_recording(recording: Recording, path: str | Path, *, layout: Layout) -
 
 
 def _write_tum(recording: Recording, path: Path) -> None:
-    names = [f"{timestamp:.6f}" for timestamp in recording.timestamps]
-    colour, depth = ([f"{kind}/{name}.png" for name in names] for kind in ("rgb", "depth"))
-    _write_images(recording, path, colour, depth, "tum")
-    for file, images in (("rgb.txt", colour), ("depth.txt", depth)):
-        lines = [f"{name} {image}\n" for name, image in zip(names, images, strict=True)]
-        write_atomically(path / file, "# timestamp filename\n" + "".join(lines))
+    lists = {"rgb": "# timestamp filename\n", "depth": "# timestamp filename\n"}
+    for kind in lists:
+        (path / kind).mkdir()
+    for index, time in enumerate(recording.timestamps.tolist()):
+        frame = recording[index]
+        # A depth image whose time is not known counts as taken with its colour image.
+        depth_time = time if frame.depth_timestamp is None else frame.depth_timestamp
+        colour, depth = f"rgb/{time:.6f}.png", f"depth/{depth_time:.6f}.png"
+        _write_pair(frame, path, colour, depth, "tum")
+        lists["rgb"] += f"{time:.6f} {colour}\n"
+        lists["depth"] += f"{depth_time:.6f} {depth}\n"
+    for kind, text in lists.items():
+        write_atomically(path / f"{kind}.txt", text)
     _write_camera(recording.camera, path, "tum")
     if recording.ground_truth is not None:
         write_atomically(path / "groundtruth.txt", format_tum(recording.ground_truth))
@@ -102,10 +109,13 @@ def _write_images(
     for name in {Path(name).parent for name in (*colour_names, *depth_names)}:
         (path / name).mkdir(exist_ok=True)
     for index, (colour_name, depth_name) in enumerate(zip(colour_names, depth_names, strict=True)):
-        frame = recording[index]
-        rgb = np.round(np.asarray(frame.rgb) * 255).astype(np.uint8)
-        _write_image(path / colour_name, cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-        _write_image(path / depth_name, depth_units(np.asarray(frame.depth), _UNITS_PER_METRE[layout]))
+        _write_pair(recording[index], path, colour_name, depth_name, layout)
+
+
+def _write_pair(frame: Frame, path: Path, colour_name: str, depth_name: str, layout: Layout) -> None:
+    rgb = np.round(np.asarray(frame.rgb) * 255).astype(np.uint8)
+    _write_image(path / colour_name, cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    _write_image(path / depth_name, depth_units(np.asarray(frame.depth), _UNITS_PER_METRE[layout]))
 
 
 def _write_image(path: Path, image: Shaped[np.ndarray, "h w *channels"]) -> None:

@@ -16,25 +16,31 @@ class Frame(eqx.Module):
     Attributes:
         rgb: (H, W, 3) float32 RGB in [0, 1].
         depth: (H, W) float32 metres along z; 0 where missing.
-        timestamp: seconds; a Python float, because float32 can't hold a Unix time stamp.
+        timestamp: seconds, when colour was exposed; a Python float, because float32 can't hold a Unix time
+            stamp.
+        depth_timestamp: seconds by the same clock, when depth was exposed; None if that is not known. Then
+            the pytree has a leaf less.
     """
 
     rgb: Float[Array | np.ndarray, "H W 3"]
     depth: Float[Array | np.ndarray, "H W"]
     timestamp: float
+    depth_timestamp: float | None
 
     def __init__(
         self,
         rgb: Shaped[Array | np.ndarray, "..."],
         depth: Shaped[Array | np.ndarray, "..."],
         timestamp: float,
+        depth_timestamp: float | None = None,
     ) -> None:
         """Make a frame of an image pair.
 
         Args:
             rgb: (H, W, 3) float RGB in [0, 1].
             depth: (H, W) float metres along z; 0 where missing.
-            timestamp: seconds.
+            timestamp: seconds, of colour.
+            depth_timestamp: seconds, of depth; None if not known.
 
         Raises:
             InputError: an image is of integers or of another shape.
@@ -49,7 +55,8 @@ class Frame(eqx.Module):
                 f"A frame's depth is float32 metres of its colour's shape {rgb.shape[:2]}, not {depth.dtype} "
                 f"of shape {depth.shape}; divide a 16-bit image by its units per metre, 1000 for millimetres."
             )
-        self.rgb, self.depth, self.timestamp = rgb, depth, timestamp
+        self.rgb, self.depth = rgb, depth
+        self.timestamp, self.depth_timestamp = timestamp, depth_timestamp
 
 
 def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:

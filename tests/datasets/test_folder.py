@@ -63,7 +63,16 @@ def test_names_in_another_order_are_matched_by_name(record):
 
 def test_numbers_with_a_decimal_point_are_time_stamps(record):
     names = ["1700000000.25.png", "1700000000.50.png"]
-    assert open_recording(record(names, names)).timestamps.tolist() == [1700000000.25, 1700000000.5]
+    recording = open_recording(record(names, names))
+    assert recording.timestamps.tolist() == [1700000000.25, 1700000000.5]
+    # A name that depth shares with colour pairs the two, and is not depth's time.
+    assert recording[1].depth_timestamp is None
+
+
+def test_depth_images_named_by_another_time_have_their_own(record):
+    recording = open_recording(record(["17.25.png", "17.50.png"], ["17.26.png", "17.51.png"]))
+    assert [recording[i].timestamp for i in range(2)] == [17.25, 17.5]
+    assert [recording[i].depth_timestamp for i in range(2)] == [17.26, 17.51]
 
 
 def test_frame_rate_and_depth_scale(record):

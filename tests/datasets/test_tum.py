@@ -36,6 +36,15 @@ def test_colour_and_depth_are_matched_by_time(freiburg):
     assert wider.timestamps.tolist() == [10.00, 10.03, 10.06]
 
 
+def test_depth_keeps_its_own_time_stamp(freiburg):
+    folder = freiburg(["10.00", "10.03", "10.06"], ["9.991", "10.036", "10.09"])
+    recording = open_recording(folder, options=ReaderOptions(max_depth=9.0, stride=1))
+    assert [(recording[i].timestamp, recording[i].depth_timestamp) for i in range(2)] == [
+        (10.00, 9.991),
+        (10.03, 10.036),
+    ]
+
+
 def test_intrinsics_by_name(freiburg):
     recording = open_recording(freiburg(["1.0"], ["1.0"]))
     np.testing.assert_allclose(

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from sfgs_jax.arrays import InputError
-from sfgs_jax.datasets import ReaderOptions, open_recording, write_recording
+from sfgs_jax.datasets import (
+    KinectFaults,
+    ReaderOptions,
+    SyntheticRecording,
+    open_recording,
+    write_recording,
+)
 
 # Half a step of 16-bit depth, and what 8 bits or a JPEG take from colour.
 LAYOUTS = {
@@ -40,6 +46,15 @@ def test_what_is_written_is_read(room, tmp_path, layout):
         error = np.abs(got.rgb - expected.rgb)
         assert error.mean() < limits["rgb"] * 0.6
         assert error.max() < limits["rgb"] * (1.001 if layout != "replica" else 4)
+
+
+def test_depth_time_stamps_survive_in_tum(tmp_path):
+    late = SyntheticRecording(num_frames=2, width=80, height=60, faults=KinectFaults(depth_delay=0.012))
+    write_recording(late, tmp_path / "tum", layout="tum")
+    recording = open_recording(tmp_path / "tum")
+    np.testing.assert_allclose(recording.timestamps, late.timestamps, atol=1e-6)
+    for i in range(2):
+        assert recording[i].depth_timestamp == pytest.approx(late.timestamps[i] + 0.012, abs=1e-6)
 
 
 def test_frames_without_a_pose_stay_without(room, tmp_path):

@@ -44,6 +44,16 @@ def test_frames_are_pytrees_whose_leaves_may_become_anything():
     np.testing.assert_allclose(means, 2.5)
 
 
+def test_depth_may_have_a_time_of_its_own():
+    assert Frame(RGB, DEPTH, 1.5).depth_timestamp is None
+    frame = Frame(RGB, DEPTH, 1.5, depth_timestamp=1.51)
+    late = jax.jit(lambda f: f.depth_timestamp - f.timestamp)(frame)
+    np.testing.assert_allclose(late, 0.01, rtol=1e-4)
+    # An unknown time is no leaf.
+    assert len(jax.tree.leaves(frame)) == len(jax.tree.leaves(Frame(RGB, DEPTH, 1.5))) + 1
+    assert jax.jit(lambda f: f)(Frame(RGB, DEPTH, 1.5)).depth_timestamp is None
+
+
 def test_a_frame_made_of_traced_images_costs_nothing():
     def made(rgb, depth):
         frame = Frame(rgb, depth, 0.0)

@@ -31,11 +31,13 @@ class FilePair:
         colour: path of the colour image.
         depth: path of the depth image.
         timestamp: seconds.
+        depth_timestamp: seconds, of the depth image; None if not known.
     """
 
     colour: Path
     depth: Path
     timestamp: float
+    depth_timestamp: float | None = None
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class FileRecording:
         if depth.shape != self.camera.shape:
             expected = f"{self.camera.width}x{self.camera.height}"
             raise FrameError(f"{pair.colour} is {size_text(rgb)}, other than the recording's {expected}.")
-        return Frame(rgb, depth, pair.timestamp)
+        return Frame(rgb, depth, pair.timestamp, pair.depth_timestamp)
 
 
 def first_readable(

@@ -44,7 +44,13 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     scale = options.depth_scale or intrinsics.depth_scale
     matched, match_notes = _match(source, colour, depth)
     timestamps = _timestamps([pair[0] for pair in matched], intrinsics.fps or _FRAMES_PER_SECOND)
-    pairs = [FilePair(c, d, t) for (c, d), t in zip(matched, timestamps.tolist(), strict=True)]
+    depth_times = _depth_timestamps(matched)
+    pairs = [
+        FilePair(colour_path, depth_path, time, depth_time)
+        for (colour_path, depth_path), time, depth_time in zip(
+            matched, timestamps.tolist(), depth_times, strict=True
+        )
+    ]
     width, height, depth_notes = registered_size(source, pairs, scale)
     ground_truth, truth_notes = _ground_truth(source / "poses.txt", timestamps, options)
     camera = intrinsics.camera(width, height, source)
@@ -92,9 +98,21 @@ def _match(source: Path, colour: list[Path], depth: list[Path]) -> tuple[list[tu
 
 def _timestamps(colour: list[Path], frames_per_second: float) -> Float[np.ndarray, " n"]:
     """Time stamps from the files' names if all are decimal numbers, else from the frame rate; seconds."""
-    if all(re.fullmatch(r"\d+\.\d+", path.stem) for path in colour):
+    if all(_is_time(path) for path in colour):
         return np.asarray([float(path.stem) for path in colour], np.float64)
     return np.arange(len(colour), dtype=np.float64) / frames_per_second
+
+
+def _depth_timestamps(matched: list[tuple[Path, Path]]) -> list[float] | list[None]:
+    """Seconds, if all names are decimal numbers. A depth image named after its colour image tells nothing."""
+    timed = all(_is_time(path) for pair in matched for path in pair)
+    if not timed or all(colour.stem == depth.stem for colour, depth in matched):
+        return [None] * len(matched)
+    return [float(depth.stem) for _, depth in matched]
+
+
+def _is_time(path: Path) -> bool:
+    return re.fullmatch(r"\d+\.\d+", path.stem) is not None
 
 
 def _ground_truth(

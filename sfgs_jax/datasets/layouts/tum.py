@@ -58,7 +58,10 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
             f"{len(colour) - len(matched)} of {len(colour)} colour images have no depth image within "
             f"{options.association_limit:g} s and are left out."
         )
-    pairs = [FilePair(source / colour[i], source / depth[j], colour_times[i].item()) for i, j in matched]
+    pairs = [
+        FilePair(source / colour[i], source / depth[j], colour_times[i].item(), depth_times[j].item())
+        for i, j in matched
+    ]
     width, height, depth_notes = registered_size(source, pairs, scale)
     ground_truth, truth_notes = ground_truth_by_time(
         source / "groundtruth.txt", colour_times[matched[:, 0]], options.association_limit

@@ -2,6 +2,9 @@
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+
+from sfgs_jax.geometry import Trajectory, quaternions_from_rotations, se3
 
 _RADIUS = 0.5
 _HEIGHT = 1.35
@@ -91,6 +94,36 @@ def along(
     yaw = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
     position = np.stack([np.interp(at, travelled, smooth[:, i]) for i in range(2)], axis=1)
     return position, np.interp(at, travelled, yaw)
+
+
+def poses_between(
+    trajectory: Trajectory, times: Float[np.ndarray, " n"], T_cam_sensor: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "n 7"]:
+    """Poses at any time, by a cubic spline through a trajectory's positions and quaternions.
+
+    Between neighbouring poses of a smooth path the normalised spline of quaternions is as smooth as one of
+    rotations. Before the first and after the last pose the outermost piece goes on.
+
+    Args:
+        trajectory: `T_world_cam` in order of time.
+        times: seconds.
+        T_cam_sensor: pose of a sensor that moves with the camera.
+
+    Returns:
+        `T_world_sensor` as wxyz_xyz, float64.
+    """
+    quaternions = quaternions_from_rotations(trajectory.poses[:, :3, :3])
+    # A quaternion and its negative are one rotation: each takes the sign that is nearer to the one before.
+    turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
+    quaternions[1:] *= np.where(np.cumsum(turned) % 2, -1, 1)[:, None]
+    knots = np.concatenate([quaternions, trajectory.positions], axis=1)
+    if len(knots) == 1:
+        poses = np.tile(knots, (len(times), 1))
+    else:
+        poses = CubicSpline(trajectory.timestamps, knots)(times)
+    T_world_sensor = se3.matrices_of(poses) @ T_cam_sensor
+    wxyz = quaternions_from_rotations(T_world_sensor[:, :3, :3])
+    return np.concatenate([wxyz, T_world_sensor[:, :3, 3]], axis=1)
 
 
 def _rotations(

@@ -3,18 +3,30 @@
 from dataclasses import dataclass, field
 
 import jax
+import jax.numpy as jnp
+import jaxlie
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets.synthetic._kinect_faults import KINECT_V1, KinectFaults, row_delays
 from sfgs_jax.datasets.synthetic._noise import add_noise
+from sfgs_jax.datasets.synthetic._path import poses_between
 from sfgs_jax.datasets.synthetic._places import PLACES
-from sfgs_jax.datasets.synthetic._render import render_view
+from sfgs_jax.datasets.synthetic._render import IdealView, render_view
+from sfgs_jax.datasets.synthetic._rolling_shutter import colour_by_rows, depth_by_rows
 from sfgs_jax.datasets.synthetic._scene import Scene
 from sfgs_jax.geometry import Camera, Frame, Trajectory, se3
 
 _FRAMES_PER_SECOND = 30.0
-_FIELDS = {"frames": "num_frames", "width": "width", "height": "height", "seed": "seed", "noise": "noise"}
+_FIELDS = {
+    "frames": "num_frames",
+    "width": "width",
+    "height": "height",
+    "seed": "seed",
+    "noise": "noise",
+    "kinect": "kinect",
+}
 
 
 @dataclass(frozen=True)
@@ -23,6 +35,9 @@ class SyntheticRecording:
 
     A `Recording` whose frames are rendered when asked for. The same parameters give the same frames, in any
     order.
+
+    Poses are exact whatever the faults. A pose is the colour camera's at the middle of the exposure of the
+    image's middle row, which is the frame's time stamp.
     """
 
     num_frames: int = 120
@@ -37,6 +52,8 @@ class SyntheticRecording:
     """True adds the noise of a Kinect; without it images are ideal."""
     place: str = "room"
     """Name of the place, one of `PLACES`; docs/datasets.md describes them."""
+    faults: KinectFaults | None = None
+    """Systematic faults of the camera, such as `KINECT_V1`; None for none."""
     _scene: Scene = field(init=False, repr=False, compare=False)
     _trajectory: Trajectory = field(init=False, repr=False, compare=False)
 
@@ -57,6 +74,8 @@ class SyntheticRecording:
     def parse(cls, source: str) -> "SyntheticRecording":
         """Recording from a string such as `synthetic:place=ring,frames=60,width=160,height=120,seed=1`.
 
+        `kinect=1` stands for `KINECT_V1` with noise; `kinect=1,noise=0` leaves the noise out.
+
         Raises:
             InputError: an unknown name or place, or another value that is no whole number.
         """
@@ -74,8 +93,9 @@ class SyntheticRecording:
                     "write for example synthetic:frames=60,width=160,height=120,seed=1,noise=1."
                 )
             values[_FIELDS[name.strip()]] = int(value)
-        noise = bool(values.pop("noise", 0))
-        return cls(**values, noise=noise, place=place)
+        kinect = values.pop("kinect", 0)
+        noise = bool(values.pop("noise", kinect))
+        return cls(**values, noise=noise, place=place, faults=KINECT_V1 if kinect else None)
 
     @property
     def name(self) -> str:
@@ -115,15 +135,90 @@ class SyntheticRecording:
         """No warnings."""
         return ()
 
+    @property
+    def depth_timestamps(self) -> Float[np.ndarray, " n"]:
+        """Time at which the middle row of each frame's depth is exposed, seconds, float64."""
+        return self.timestamps + self._faults.depth_delay
+
+    @property
+    def gains(self) -> Float[np.ndarray, " n"]:
+        """Factor on each frame's colour."""
+        return self._faults.gain(self.timestamps)
+
+    @property
+    def T_colour_depth(self) -> Float[np.ndarray, "4 4"]:
+        """Pose in the colour camera of the depth camera, whose images pass for the colour camera's own.
+
+        A frame's depth gives points of the depth camera. This motion takes them to the colour camera.
+        """
+        return self._faults.T_colour_depth(self.seed)
+
+    @property
+    def inverse_depth_offsets(self) -> Float[np.ndarray, "h w"]:
+        """The bands: each pixel's error of inverse depth, 1/m, the same in all frames.
+
+        Depth z is measured as 1 / (1 / z + offset), before noise.
+        """
+        return self._faults.inverse_depth_offsets(self.camera, self.seed)
+
+    def poses_at(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
+        """Exact `T_world_cam` of the colour camera at any time in seconds."""
+        return se3.matrices_of(poses_between(self._trajectory, times, np.eye(4)))
+
+    @property
+    def _faults(self) -> KinectFaults:
+        return self.faults or KinectFaults()
+
     def __len__(self) -> int:
         return self.num_frames
 
     def __getitem__(self, index: int) -> Frame:
         index = range(self.num_frames)[index]
-        camera = self.camera
-        view = render_view(self._scene, camera, se3.from_matrix(self._trajectory.poses[index]))
+        view = self._view_with_faults(index) if self._faults.any() else self._ideal_view(index)
         rgb, depth = view.rgb, view.depth
         if self.noise:
             key = jax.random.fold_in(jax.random.key(self.seed), index)
-            rgb, depth = add_noise(key, view, camera)
-        return Frame(np.asarray(rgb), np.asarray(depth), self._trajectory.timestamps[index].item())
+            rgb, depth = add_noise(key, view, self.camera)
+        return Frame(
+            np.asarray(rgb),
+            np.asarray(depth),
+            self.timestamps[index].item(),
+            depth_timestamp=self.depth_timestamps[index].item(),
+        )
+
+    def _ideal_view(self, index: int) -> IdealView:
+        return render_view(self._scene, self.camera, se3.from_matrix(self._trajectory.poses[index]))
+
+    def _view_with_faults(self, index: int) -> IdealView:
+        """The images but for noise: every row seen from where the camera is at its time."""
+        faults, camera, height = self._faults, self.camera, self.height
+        still = np.eye(4)
+        middles = self.timestamps[index] + faults.sub_exposures()
+        centres, corners = np.arange(height), np.arange(height + 1) - 0.5
+        rgb = colour_by_rows(
+            self._scene,
+            camera,
+            self._row_poses(middles, centres, faults.colour_readout, still),
+            self._row_poses(middles, corners, faults.colour_readout, still),
+        )
+        middle = self.depth_timestamps[index : index + 1]
+        poses = self._row_poses(middle, centres, faults.depth_readout, self.T_colour_depth)
+        depth, facing = depth_by_rows(self._scene, camera, jax.tree.map(lambda x: x[0], poses))
+        inverse = 1 / jnp.where(depth > 0, depth, 1) + jnp.asarray(self.inverse_depth_offsets, jnp.float32)
+        return IdealView(
+            rgb=jnp.clip(rgb * self.gains[index].item(), 0, 1),
+            depth=jnp.where((depth > 0) & (inverse > 0), 1 / inverse, 0),
+            facing=facing,
+        )
+
+    def _row_poses(
+        self,
+        middles: Float[np.ndarray, " k"],
+        rows: Shaped[np.ndarray, " r"],
+        readout: float,
+        T_colour_sensor: Float[np.ndarray, "4 4"],
+    ) -> jaxlie.SE3:
+        """(k, r) poses of a sensor at the times of rows, of images whose middle row is at given times."""
+        times = middles[:, None] + row_delays(rows.astype(np.float64), self.height, readout)
+        poses = poses_between(self._trajectory, times.ravel(), T_colour_sensor)
+        return jaxlie.SE3(jnp.asarray(poses.reshape(*times.shape, 7), jnp.float32))

@@ -13,7 +13,8 @@ from sfgs_jax.datasets.synthetic._textures import surface_colours
 from sfgs_jax.geometry import Camera, se3
 
 # XLA's loops on a CPU are several times slower where their length isn't a multiple of the vector width.
-_LANES = 16
+LANES = 16
+"""Rays are padded to a multiple of this."""
 _AMBIENT = 0.7
 _LAMPS = ((-1.2, -0.6, ROOM_SIZE[2] - 0.1), (1.3, 0.7, ROOM_SIZE[2] - 0.1))
 
@@ -47,11 +48,11 @@ def render_view(scene: Scene, camera: Camera, T_world_cam: jaxlie.SE3) -> IdealV
     )
     corner_pixels = jnp.stack([corner_u, corner_v], axis=-1).reshape(-1, 2)
     pixels = jnp.concatenate([camera.pixels().reshape(-1, 2), corner_pixels])
-    pixels = jnp.pad(pixels, ((0, -len(pixels) % _LANES), (0, 0)))
+    pixels = jnp.pad(pixels, ((0, -len(pixels) % LANES), (0, 0)))
 
     triangles = se3.transform(se3.inverse(T_world_cam), scene.triangles)
     hits = cast(triangles, camera, pixels)
-    rgb, facing = _shade(scene, triangles, camera, T_world_cam, pixels, hits)
+    rgb, facing = shade(scene, unit_normals(triangles), camera, T_world_cam, pixels, hits)
     centres = height * width
     corner = rgb[centres : centres + len(corner_pixels)].reshape(height + 1, width + 1, 3)
     corners = (corner[:-1, :-1] + corner[:-1, 1:] + corner[1:, :-1] + corner[1:, 1:]) / 4
@@ -62,9 +63,15 @@ def render_view(scene: Scene, camera: Camera, T_world_cam: jaxlie.SE3) -> IdealV
     )
 
 
-def _shade(
+def unit_normals(triangles: Float[Array, "t 3 3"]) -> Float[Array, "t 3"]:
+    """Normals that point to the side from which a triangle is seen."""
+    normals = jnp.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return normals / jnp.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def shade(
     scene: Scene,
-    triangles: Float[Array, "t 3 3"],
+    normals: Float[Array, "t 3"],
     camera: Camera,
     T_world_cam: jaxlie.SE3,
     pixels: Float[Array, "n 2"],
@@ -74,13 +81,19 @@ def _shade(
 
     It is the same from every direction, so it is a property of the scene that a map can hold.
 
+    Args:
+        scene: the triangles.
+        normals: unit normals of the triangles in camera coordinates.
+        camera: camera of the rays.
+        T_world_cam: pose.
+        pixels: pixels (u, v) of the rays.
+        hits: the nearest triangle on each.
+
     Returns:
         Colour of the hits, and the cosine between their normal and the ray back to the camera.
     """
     points = camera.unproject(pixels, hits.depth)
     triangle = jnp.maximum(hits.triangle, 0)
-    normals = jnp.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals = normals / jnp.linalg.norm(normals, axis=1, keepdims=True)
     normal = normals[triangle]
     distance = jnp.maximum(jnp.linalg.norm(points, axis=1), 1e-6)
     facing = -jnp.sum(points * normal, axis=1) / distance
