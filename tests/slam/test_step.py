@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,6 +43,23 @@ def test_tracks_the_room_from_the_first_camera(room, frames, config):
         i for i, info in enumerate(infos) if info.new_view
     ]
     np.testing.assert_allclose(state.trajectory.poses[:, :3, 3], truth[:, :3, 3], atol=0.03)
+
+
+def test_adjust_finds_the_same_window_from_another_start(room, frames, config, rng):
+    """Poses and landmarks come back from 5 mm and 5 mrad away, the first pose stays, the cost falls."""
+    state, _ = follow(room, frames, config)
+    assert len(state.graph.keyframes) >= 2
+    window = slam.window_of(state.params, state.graph, config.graph)
+    expected = slam.adjust(state.params, window)
+    tangents = 0.005 * rng.normal(size=(len(window.values.poses.wxyz_xyz), 6))
+    tangents[0] = 0
+    shaken = se3.compose(window.values.poses, se3.exp(jnp.asarray(tangents, jnp.float32)))
+    window = eqx.tree_at(lambda w: w.values.poses, window, shaken)
+    found = slam.adjust(state.params, window)
+    assert float(found.cost) < 1.01 * float(expected.cost) + 1e-3
+    poses = [np.asarray(x.values.poses.wxyz_xyz)[: len(state.graph.keyframes)] for x in (found, expected)]
+    np.testing.assert_allclose(*poses, atol=5e-4)
+    np.testing.assert_array_equal(poses[0][0], np.asarray(window.values.poses.wxyz_xyz)[0])
 
 
 def test_a_step_leaves_the_state_it_was_given(room, frames, config):
