@@ -21,7 +21,7 @@ SIGMAS = np.array([0.02, 0.02, 0.02, 0.01, 0.01, 0.01])  # of a measurement: met
 def circle(count: int) -> jaxlie.SE3:
     """Poses on a circle of 2 m radius, each turned about the vertical from the one before."""
     step = jnp.array([2 * np.pi * 2.0 / LAP, 0.0, 0.0, 0.0, -2 * np.pi / LAP, 0.0])
-    return se3.exp(jnp.arange(count, dtype=jnp.float32)[:, None] * step)
+    return se3.exp(jnp.arange(count, dtype=jnp.float32)[:, None] * step[None])
 
 
 def main() -> dict[str, float]:

@@ -67,6 +67,8 @@ def reprojection_residuals(
     x, y, z = jnp.where(has_image, points, jnp.asarray([[0], [0], [1]], points.dtype))
     inverse = 1 / z
     a, b, zero = x * inverse, y * inverse, jnp.zeros_like(x)
+    # One for all points, or one for each.
+    sigma = sigma[None] if jnp.ndim(sigma) else sigma
     offset = jnp.stack([camera.fx * a + camera.cx, camera.fy * b + camera.cy]) - pixels
     rows = [jnp.where(has_image, offset, camera.width) / sigma]
     slopes = [

@@ -37,8 +37,8 @@ def inverse_right_jacobian(tangent: Float[Array, "6 N"]) -> Float[Array, "6 6 N"
     A = multiply(W, W)
     B = multiply(W, V) + multiply(V, W)
     one = jnp.eye(3, dtype=tangent.dtype)[:, :, None]
-    rotation = one + W / 2 + (c - e * t) * A
-    coupling = V / 2 + c * B + e * (multiply(A, B) + multiply(B, A))
+    rotation = one + W / 2 + (c - e * t)[None, None] * A
+    coupling = V / 2 + c[None, None] * B + e[None, None] * (multiply(A, B) + multiply(B, A))
     return jnp.concatenate(
         [
             jnp.concatenate([rotation, coupling], axis=1),

@@ -238,7 +238,8 @@ def _search(
         # One coordinate at a time: XLA takes much longer for triples.
         columns = jnp.where(surface, target.rows[:, :3], jnp.inf).T
         square = sum(
-            (m - c.at[index].get(mode="promise_in_bounds")) ** 2 for m, c in zip(moved, columns, strict=True)
+            (m[None] - c.at[index].get(mode="promise_in_bounds")) ** 2
+            for m, c in zip(moved, columns, strict=True)
         )
         square = jnp.where(inside, square, jnp.inf)
         best = packed_argmin(square)[None]

@@ -106,7 +106,7 @@ class LevelProblem(eqx.Module):
     def equations(self, T_target_source: jaxlie.SE3, pairs: Correspondences) -> NormalEquations:
         """Normal equations at a motion with its correspondences."""
         weights = self.robust_weights(pairs)
-        matrices = self._weight_matrices(pairs) * weights
+        matrices = self._weight_matrices(pairs) * weights[None]
         residuals = self.source.points - pairs.points
         matrix_sums, residual_sums, weight_sums = moment_sums(
             self.moments, matrices, weighted_residuals(matrices, residuals), weights

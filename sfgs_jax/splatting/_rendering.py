@@ -113,7 +113,7 @@ def _render(
     )
     colour, accumulated, alpha = raster.accumulated[..., :3], raster.accumulated[..., 3], raster.alpha
     if background is not None:
-        colour = colour + (1 - alpha)[..., None] * background
+        colour = colour + (1 - alpha)[..., None] * background[None, None]
     hit = alpha > 0
     return RenderOutput(
         rgb=colour,

@@ -117,7 +117,7 @@ def _view(
             jnp.stack([zero, camera.fy / z, -camera.fy * ty / z**2]),
         ]
     )
-    M = J @ R_world_cam.T @ _rotation(quaternion) * scale
+    M = J @ R_world_cam.T @ _rotation(quaternion) * scale[None]
     (a, b), (_, c) = M @ M.T + LOW_PASS * jnp.eye(2, dtype=z.dtype)
     # det (M Mᵀ) = |m₁ x m₂|² (Cauchy-Binet). For a needle a c - b² would be rounding alone.
     sharp = jnp.sum(jnp.cross(M[0], M[1]) ** 2)

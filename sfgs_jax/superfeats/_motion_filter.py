@@ -116,8 +116,8 @@ def _votes(
 ) -> Float[Array, " k"]:
     """Number of voters that agree with each displacement."""
     length, voter_length = (jnp.linalg.norm(x, axis=1) for x in (motion, voters))
-    limit = config.tolerance + config.relative_tolerance * 0.5 * (length + voter_length[:, None])
-    u, v = (motion[:, i] - voters[:, None, i] for i in range(2))
+    limit = config.tolerance + config.relative_tolerance * 0.5 * (length[None] + voter_length[:, None])
+    u, v = (motion[None, :, i] - voters[:, None, i] for i in range(2))
     agrees = (u * u + v * v <= limit * limit) & may_vote[:, None]
     return jnp.sum(agrees, axis=0, dtype=motion.dtype)
 

@@ -49,7 +49,7 @@ def detect(
     """
     heat = cut(heat_map(logits), *shape)
     chosen = local_maxima(heat) & (heat > min_heat) & away_from_border(heat, *shape)
-    scores, pixels = strongest(jnp.where(chosen, heat * reliability, 0.0), count=max_keypoints)
+    scores, pixels = strongest(jnp.where(chosen, heat * reliability[None, None], 0.0), count=max_keypoints)
     return refine(heat, pixels), scores
 
 

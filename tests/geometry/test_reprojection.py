@@ -78,7 +78,7 @@ def test_points_without_an_image_cost_and_do_not_pull():
         camera(jnp.float32), points, jnp.ones((2, len(DEPTHS))), lanes, sigma=2.0, inverse_depth_sigma=0.1
     )
     assert not np.any(found.has_image)
-    np.testing.assert_array_equal(found.residual, np.array([[320.0], [320.0], [0.0]]) * lanes)
+    np.testing.assert_array_equal(found.residual, np.array([[320.0], [320.0], [0.0]]) * lanes[None])
     assert not np.any(found.point_jacobian)
     assert not np.any(found.pose_jacobian)
 

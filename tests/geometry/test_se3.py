@@ -38,7 +38,7 @@ def test_compose_is_the_matrix_product(key):
 def test_transform_takes_source_points_to_the_target_frame(key):
     T = random_pose(key)
     points = jax.random.normal(key, (4, 5, 3))
-    expected = points @ se3.matrix(T)[:3, :3].T + se3.matrix(T)[:3, 3]
+    expected = points @ se3.matrix(T)[:3, :3].T + se3.matrix(T)[None, None, :3, 3]
     np.testing.assert_allclose(se3.transform(T, points), expected, atol=1e-5)
 
 

@@ -83,7 +83,7 @@ def test_harmonics_have_the_order_and_signs_of_ply_files():
         quaternions=jnp.ones((16, 4)),
         log_scales=jnp.full((16, 3), -3.0),
         opacity_logits=jnp.zeros(16),
-        sh=0.5 * jnp.eye(16)[:, :, None] * jnp.ones(3),
+        sh=0.5 * jnp.eye(16)[:, :, None] * jnp.ones((1, 1, 3)),
         valid=jnp.ones(16, bool),
     )
     camera = Camera(FOCAL, FOCAL, CX, CY, width=WIDTH, height=HEIGHT)

@@ -137,7 +137,8 @@ def _around(
     inside = slot < runs.ends[-1:]
     place = jnp.where(inside, runs.places(slot), 0)
     square = jnp.where(inside, square_distances(grid, lax.stop_gradient(queries), place), jnp.inf)
-    near = (square <= _kth_smallest(square, k, 3 * (2 * grid.size) ** 2)).astype(queries.dtype)
+    limit = _kth_smallest(square, k, 3 * (2 * grid.size) ** 2)[None]
+    near = (square <= limit).astype(queries.dtype)
 
     count = jnp.sum(near, axis=0)
     scale = 1 / jnp.maximum(count, 1)

@@ -251,9 +251,8 @@ def _random_triples(used: Bool[Array, " N"], key: Key[Array, ""], number: int) -
     """Triples of different matches, if there are three."""
     count = jnp.sum(used, dtype=jnp.int32)
     left = jnp.maximum(count - jnp.arange(3, dtype=jnp.int32), 1)
-    a, b, c = jnp.minimum(
-        jnp.floor(jax.random.uniform(key, (number, 3)) * left.astype(jnp.float32)).astype(jnp.int32), left - 1
-    ).T
+    shares = jax.random.uniform(key, (number, 3)) * left.astype(jnp.float32)[None]
+    a, b, c = jnp.minimum(jnp.floor(shares).astype(jnp.int32), left[None] - 1).T
     # The second is drawn from the matches left by the first, the third from those left by both.
     b = jnp.where(b >= a, b + 1, b)
     low, high = jnp.minimum(a, b), jnp.maximum(a, b)
