@@ -60,7 +60,7 @@ class RegistrationResult(eqx.Module):
         # The directions are the eigenvectors, but for their units, so that nothing has to be solved.
         along = jnp.sum(self.directions * (self.information @ self.directions), axis=0)
         known = jnp.all(~self.free & (along > 0))
-        inverse = (self.directions / jnp.where(known, along, 1)) @ self.directions.T
+        inverse = (self.directions / jnp.where(known, along, 1)[None]) @ self.directions.T
         return jnp.where(known, inverse, jnp.inf)
 
 
@@ -82,7 +82,7 @@ def assess(problem: LevelProblem, minimum: Minimum) -> RegistrationResult:
     weights = problem.robust_weights(pairs) * inlier
     matrix_sums, weight_sums, inlier_sums, *sums = moment_sums(
         problem.moments,
-        _informing(problem, pairs) * weights,
+        _informing(problem, pairs) * weights[None],
         weights,
         inlier,
         inlier * square,

@@ -172,7 +172,7 @@ def hessian(sums: Float[Array, "6 10"]) -> Float[Array, "6 6"]:
 
 def isotropic_hessian(sums: Float[Array, "10"]) -> Float[Array, "6 6"]:
     """Sum of w J^T J, from the `moment_sums` of a weight w that is the same in all directions."""
-    return _hessian(jnp.eye(3, dtype=sums.dtype)[:, :, None] * sums)
+    return _hessian(jnp.eye(3, dtype=sums.dtype)[:, :, None] * sums[None, None])
 
 
 @exact_products

@@ -57,7 +57,7 @@ def _render(
     channels = jnp.zeros((len(order), 0), depth.dtype) if features is None else given(features)
 
     def pixel(position: Array) -> tuple[Array, ...]:
-        d = position - centre
+        d = position[None] - centre
         alpha = opacity * jnp.exp(-0.5 * jnp.sum(jnp.einsum("nij,nj->ni", whitening, d) ** 2, axis=-1))
         alpha = jnp.where(drawn & (alpha >= MIN_ALPHA), jnp.minimum(alpha, MAX_ALPHA), 0)
         after = jnp.cumprod(1 - alpha)
@@ -71,7 +71,7 @@ def _render(
         camera.pixels().astype(depth.dtype)
     )
     if background is not None:
-        rgb = rgb + (1 - alpha)[..., None] * background
+        rgb = rgb + (1 - alpha)[..., None] * background[None, None]
     return RenderOutput(
         rgb=rgb,
         depth=jnp.where(alpha > 0, accumulated / jnp.where(alpha > 0, alpha, 1), 0),
