@@ -3,17 +3,16 @@
     python -m experiments.ablation [--recordings NAME ...] [--variants NAME ...] [--strides 1 3 8]
         [--starts 10] [--frames N] [--csv FILE]
 
-A start is a run of its own. Start n drops the first n frames; even starts run forward, odd ones from the last
-frame to the first, then n frames drop from the end. At a stride above one the starts see other frames.
-Everything is tracked without a map.
+A start is a run of its own. Start n drops the first n frames. Even starts run forward; odd ones run backward
+and drop the last n. At a stride above one the starts see other frames. Nothing is mapped.
 
 ATE is the RMSE over all tracked frames after SE(3) alignment. RPE is of rotation, from one selected frame to
 the next and over a second. Scale is the factor on the estimate that fits the truth best; noise on a short
-path pulls it below 1. Two figures need no truth: distances between surfaces of frames far apart in time,
-and misses of ORB matches that the system did not use, both by `experiments.pose_agreement`.
+path pulls it below 1. Two figures need no truth. One is the distance between surfaces of frames far apart in
+time. The other is by how much matches of ORB miss; `experiments.pose_agreement` explains both.
 
 ± is the standard error over starts. Differences to the whole system are paired: taken on each start, then
-averaged. A run that tracked fewer than half of its frames is lost; *starts* counts the others, and errors
+averaged. A run that tracked fewer than half of its frames is lost. *Starts* counts the others, and errors
 are over these alone. *Better / worse* counts tables where ATE differs by more than two standard errors.
 
 With --csv every run is a line in the file as soon as it ends, and those in the file are not run again. Use
@@ -27,8 +26,9 @@ from pathlib import Path
 
 import jax
 
-from experiments.ablation_runs import HeldOut, Key, Run, append_run, measure, read_runs
+from experiments.ablation_runs import Key, Run, append_run, measure, read_runs
 from experiments.ablation_tables import COLUMNS, TOTAL_COLUMNS, row, total_row
+from experiments.held_out import HeldOut
 from experiments.matching_tables import print_table
 from experiments.recordings import DATA, SOURCES
 from experiments.starts import InMemory, start_of
@@ -98,6 +98,8 @@ def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--frames", type=int, help="use the first so many frames of each recording only")
     parser.add_argument("--csv", type=Path, help="a line for each run; runs in it are not done again")
     arguments = parser.parse_args(words)
+    if arguments.starts < 1 or min(arguments.strides) < 1:
+        parser.error("Starts and strides are at least 1.")
     arguments.variants = [WHOLE, *(name for name in arguments.variants if name != WHOLE)]
     return arguments
 

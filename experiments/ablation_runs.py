@@ -9,17 +9,7 @@ from typing import get_type_hints
 import numpy as np
 from jaxtyping import Float
 
-from experiments.pose_agreement import (
-    EVERY,
-    GAP,
-    MIN_POINTS,
-    Surfaces,
-    agreed_matches,
-    distances,
-    misses,
-    pairs,
-)
-from experiments.starts import true_poses
+from experiments.held_out import HeldOut
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import Recording, prefetch
 from sfgs_jax.evaluation import ate, rpe
@@ -71,7 +61,7 @@ class Run:
 
     @property
     def key(self) -> Key:
-        """What was run; two runs with one key are the same."""
+        """Recording, frames, stride, start and variant: two runs with one key are the same."""
         return self.recording, self.frames, self.stride, self.start, self.variant
 
 
@@ -98,59 +88,6 @@ def append_run(path: Path, run: Run) -> None:
         writer.writerow(asdict(run))
 
 
-class HeldOut:
-    """Figures of poses by what the images show, without ground truth, as `experiments.pose_agreement` does.
-
-    It serves all variants on one start: matches and surfaces do not depend on poses and are kept. Pairs of
-    surfaces are chosen by the ground truth if there is one, so all variants are judged by the same pairs. A
-    pair without both poses is left out. Surfaces farther apart than `GATE` do not count, so a gross error
-    shows in the matches only.
-
-    Args:
-        recording: the start.
-        stride: frames of the whole recording from one of its frames to the next.
-    """
-
-    def __init__(self, recording: Recording, stride: int) -> None:
-        self._recording, self._stride = recording, stride
-        self._surfaces = Surfaces(recording)
-        self._matches: dict[int, tuple[np.ndarray, np.ndarray] | None] = {}
-
-    def surface_m(self, poses: Float[np.ndarray, "n 4 4"]) -> float:
-        """Median distance between the surfaces of frames far apart in time, metres.
-
-        Args:
-            poses: (N, 4, 4) `T_world_cam` of the frames, NaN where there is none.
-        """
-        known = self._recording.ground_truth is not None
-        measured = []
-        for i, j in pairs(true_poses(self._recording) if known else poses, self._stride):
-            T_j_i = np.linalg.inv(poses[j]) @ poses[i]
-            if np.isfinite(T_j_i).all():
-                found = distances(self._surfaces[i], self._surfaces[j], T_j_i, self._recording.camera)
-                measured += [found] if len(found) >= MIN_POINTS else []
-        return float(np.median(np.concatenate(measured))) if measured else np.nan
-
-    def reprojection_px(self, poses: Float[np.ndarray, "n 4 4"]) -> float:
-        """Median miss of matches of ORB's keypoints, pixels.
-
-        Args:
-            poses: (N, 4, 4) `T_world_cam` of the frames, NaN where there is none.
-        """
-        gap, every = max(1, GAP // self._stride), max(1, EVERY // self._stride)
-        measured = []
-        for i in range(0, len(poses) - gap, every):
-            T_j_i = np.linalg.inv(poses[i + gap]) @ poses[i]
-            if not np.isfinite(T_j_i).all():
-                continue
-            if i not in self._matches:
-                self._matches[i] = agreed_matches(self._recording, i, i + gap)
-            matches = self._matches[i]
-            if matches is not None:
-                measured.append(misses(*matches, T_j_i, self._recording.camera))
-        return float(np.median(np.concatenate(measured))) if measured else np.nan
-
-
 def tracked_poses(recording: Recording, config: SlamConfig) -> tuple[Float[np.ndarray, "n 4 4"], SlamState]:
     """Track a recording without a map; gives (N, 4, 4) poses, NaN for lost frames, and the last state."""
     state, tracked = init(recording.camera, config), []
@@ -166,7 +103,8 @@ def tracked_poses(recording: Recording, config: SlamConfig) -> tuple[Float[np.nd
 def errors(recording: Recording, poses: Float[np.ndarray, "n 4 4"]) -> dict[str, float]:
     """Figures of poses (N, 4, 4), NaN for lost frames, against the ground truth; names as of `Run`."""
     names = ("ate_m", "scale", "rpe_frame_m", "rpe_frame_deg", "rpe_second_m", "rpe_second_deg")
-    figures, truth, times = dict.fromkeys(names, np.nan), recording.ground_truth, recording.timestamps
+    figures: dict[str, float] = dict.fromkeys(names, np.nan)
+    truth, times = recording.ground_truth, recording.timestamps
     if truth is None or len(times) < 2:
         return figures
     has_pose = np.isfinite(poses).all((1, 2))

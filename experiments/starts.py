@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import Recording, Selection
 from sfgs_jax.geometry import Camera, Frame, Trajectory
 
@@ -110,7 +111,12 @@ def start_of(recording: Recording, start: int, stride: int) -> Recording:
         recording: the whole recording.
         start: number of the start, from 0.
         stride: frames from one selected frame to the next.
+
+    Raises:
+        InputError: no frame is left.
     """
+    if start >= len(recording):
+        raise InputError(f"Start {start} leaves none of {len(recording)} frames: take fewer starts.")
     directed = Backward(recording) if start % 2 else recording
     return Selection(directed, range(len(recording))[start::stride], None)
 
