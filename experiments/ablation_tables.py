@@ -28,6 +28,7 @@ COLUMNS = (
 )
 TOTAL_COLUMNS = (
     "variant",
+    "starts lost / by whole / all",
     "ATE ratio",
     "log ratio ± over starts",
     "± over recordings",
@@ -122,8 +123,12 @@ def total_row(runs: Sequence[Run], variant: str, whole: str) -> tuple[str, ...]:
     others = [
         log_ratio(runs, variant, whole, name) for name in ("rpe_second_deg", "surface_m", "reprojection_px")
     ]
+    lost = [
+        sum(run.tracked < MIN_TRACKED for run in runs if run.variant == name) for name in (variant, whole)
+    ]
     return (
         variant,
+        f"{lost[0]} / {lost[1]} / {sum(run.variant == variant for run in runs)}",
         _number(np.exp(mean), 3),
         _with_error(mean, starts, 3, "+"),
         _number(recordings, 3),

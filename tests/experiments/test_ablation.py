@@ -197,4 +197,4 @@ def test_an_interrupted_table_goes_on(tmp_path, monkeypatch, capsys):
     out = capsys.readouterr().out
     assert "kinect, every 3. of 30 frames" in out
     assert "All recordings, strides 1, 3" in out
-    assert "| GICP alone | 1.000 | +0.000 ± 0.000 |" in out
+    assert "| GICP alone | 0 / 0 / 4 | 1.000 | +0.000 ± 0.000 |" in out
