@@ -13,7 +13,8 @@ time. The other is by how much matches of ORB miss; `experiments.pose_agreement`
 
 ± is the standard error over starts. Differences to the whole system are paired: taken on each start, then
 averaged. A run that tracked fewer than half of its frames is lost. *Starts* counts the others, and errors
-are over these alone; a variant that loses hard starts gains by it, so read both. *Better / worse* counts tables where ATE differs by more than two standard errors.
+are over these alone. A variant that loses hard starts gains by it, so read both. *Better / worse* counts
+tables where ATE differs by more than two standard errors.
 
 With --csv every run is a line in the file as soon as it ends, and those in the file are not run again. Use
 another file once the code has changed.
