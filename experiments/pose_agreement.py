@@ -81,22 +81,31 @@ def distances(
     return np.abs(across[near])
 
 
-def pairs(poses: Float[np.ndarray, "n 4 4"]) -> list[tuple[int, int]]:
-    """Frames far apart whose cameras are close together and look the same way."""
-    numbers = range(0, len(poses), EVERY)
+def pairs(poses: Float[np.ndarray, "n 4 4"], stride: int = 1) -> list[tuple[int, int]]:
+    """Frames far apart whose cameras are close together and look the same way.
+
+    Args:
+        poses: (N, 4, 4) of every `stride`-th frame of a recording; a frame whose pose is NaN is in no pair.
+        stride: frames of the recording from one pose to the next.
+    """
+    numbers = range(0, len(poses), max(1, EVERY // stride))
     found = []
     for i, j in product(numbers, numbers):
         apart = np.linalg.norm(poses[i, :3, 3] - poses[j, :3, 3])
         turned = np.degrees(np.arccos(np.clip(poses[i, :3, 2] @ poses[j, :3, 2], -1, 1)))
-        if j - i >= MIN_FRAMES and apart < MAX_METRES and turned < MAX_DEGREES:
+        if (j - i) * stride >= MIN_FRAMES and apart < MAX_METRES and turned < MAX_DEGREES:
             found.append((i, j))
     return found
 
 
-def misses(
-    recording: Recording, i: int, j: int, poses: tuple[np.ndarray, np.ndarray]
-) -> list[Float[np.ndarray, " n"]]:
-    """Pixels by which the matches of two frames miss by each of the poses; none if there are few matches."""
+def agreed_matches(
+    recording: Recording, i: int, j: int
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 2"]] | None:
+    """Matches of two frames that one camera motion explains, by PnP; None if there are few.
+
+    Returns:
+        (M, 3) points in camera coordinates of frame i, metres, and (M, 2) their pixels in frame j.
+    """
     K = np.asarray(recording.camera.matrix(), np.float64)
     frames = recording[i], recording[j]
     a, b = (extract_orb(np.asarray(frame.rgb), max_keypoints=KEYPOINTS) for frame in frames)
@@ -109,15 +118,20 @@ def misses(
     from_, to, z = from_[z > 0], to[z > 0], z[z > 0, None]
     points = np.hstack([(from_ - K[:2, 2]) / np.diag(K)[:2], np.ones_like(z)]) * z
     if len(points) < MIN_MATCHES:
-        return []
+        return None
     _, _, _, agree = cv2.solvePnPRansac(points, to, K, None, reprojectionError=MATCHED_PIXELS)
     if agree is None or len(agree) < MIN_MATCHES:
-        return []
+        return None
     agreed = np.ravel(agree).astype(np.intp)
-    points, to = points[agreed], to[agreed]
-    motions = [np.linalg.inv(T[j]) @ T[i] for T in poses]
-    seen = [(points @ T[:3, :3].T + T[:3, 3]) @ K.T for T in motions]
-    return [np.linalg.norm(p[:, :2] / p[:, 2:] - to, axis=1) for p in seen]
+    return points[agreed], to[agreed]
+
+
+def misses(
+    points: Float[np.ndarray, "m 3"], to: Float[np.ndarray, "m 2"], T_b_a: np.ndarray, camera: Camera
+) -> Float[np.ndarray, " m"]:
+    """Pixels by which a motion (4, 4) carries points of frame a past their pixels in frame b."""
+    seen = (points @ T_b_a[:3, :3].T + T_b_a[:3, 3]) @ np.asarray(camera.matrix(), np.float64).T
+    return np.linalg.norm(seen[:, :2] / seen[:, 2:] - to, axis=1)
 
 
 def tracked(name: str) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
@@ -149,8 +163,13 @@ def by_depth(recording: Recording, poses: tuple[np.ndarray, np.ndarray]) -> list
 
 def by_colour(recording: Recording, poses: tuple[np.ndarray, np.ndarray]) -> list[list[np.ndarray]]:
     """Of every pair of frames, pixels by which matches miss by either poses."""
-    found = [misses(recording, i, i + GAP, poses) for i in range(0, len(recording) - GAP, EVERY)]
-    return [pair for pair in found if pair]
+    found = []
+    for i in range(0, len(recording) - GAP, EVERY):
+        matches = agreed_matches(recording, i, i + GAP)
+        if matches is not None:
+            motions = [np.linalg.inv(T[i + GAP]) @ T[i] for T in poses]
+            found.append([misses(*matches, motion, recording.camera) for motion in motions])
+    return found
 
 
 def rows(name: str, measured: list[list[np.ndarray]]) -> list[tuple[str, ...]]:

@@ -1,0 +1,130 @@
+"""Many starts of one recording: other first frames, both directions of time, fewer frames.
+
+Ten starts overlap almost fully, so they show how much of an error is chance on this recording. They do not
+replace other recordings.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets import Recording, Selection
+from sfgs_jax.geometry import Camera, Frame, Trajectory
+
+
+@dataclass(frozen=True)
+class _Wrapper:
+    """A `Recording` that is another one in everything but what a subclass changes."""
+
+    recording: Recording
+
+    @property
+    def name(self) -> str:
+        """Name of the recording inside."""
+        return self.recording.name
+
+    @property
+    def dataset(self) -> str:
+        """Layout of the recording inside."""
+        return self.recording.dataset
+
+    @property
+    def camera(self) -> Camera:
+        """Camera of colour and depth."""
+        return self.recording.camera
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Warnings for the log."""
+        return self.recording.notes
+
+    @property
+    def timestamps(self) -> Float[np.ndarray, " n"]:
+        """Time of each frame in seconds, float64."""
+        return self.recording.timestamps
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """Known poses, `T_world_cam`."""
+        return self.recording.ground_truth
+
+    def __len__(self) -> int:
+        return len(self.recording)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self.recording[index]
+
+
+@dataclass(frozen=True)
+class InMemory(_Wrapper):
+    """A recording whose frames are decoded once and kept, 5 MB each at 640x480."""
+
+    _frames: dict[int, Frame] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __getitem__(self, index: int) -> Frame:
+        if index not in self._frames:
+            self._frames[index] = self.recording[index]
+        return self._frames[index]
+
+
+@dataclass(frozen=True)
+class Backward(_Wrapper):
+    """A recording from its last frame to its first.
+
+    Time stamps are mirrored at the middle of the recording, so they increase, and gaps stay where they were.
+    Depth that was exposed after colour now comes before it, and rows are read out from the bottom up.
+    """
+
+    @property
+    def timestamps(self) -> Float[np.ndarray, " n"]:
+        """Time of each frame in seconds, float64, increasing."""
+        return self._mirrored(self.recording.timestamps)[::-1]
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """Known poses at the mirrored times, in their order."""
+        truth = self.recording.ground_truth
+        return truth and Trajectory(self._mirrored(truth.timestamps)[::-1], truth.poses[::-1])
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = self.recording[range(len(self))[::-1][index]]
+        exposed = frame.depth_timestamp
+        if exposed is not None:
+            exposed = float(self._mirrored(np.float64(exposed)))
+        return Frame(frame.rgb, frame.depth, float(self.timestamps[index]), exposed)
+
+    def _mirrored(self, times: np.ndarray | np.float64) -> np.ndarray:
+        first, last = self.recording.timestamps[[0, -1]]
+        return np.asarray(first + last - times)
+
+
+def start_of(recording: Recording, start: int, stride: int) -> Recording:
+    """One start: every `stride`-th frame from frame `start` on, backward if `start` is odd.
+
+    The offset counts frames of the whole recording, not of the selection. So at strides above one the starts
+    see other frames, and none loses more of the way than `start` frames. An offset in strides would show all
+    starts the same frames. Backward, the frames dropped are the last ones.
+
+    Args:
+        recording: the whole recording.
+        start: number of the start, from 0.
+        stride: frames from one selected frame to the next.
+
+    Raises:
+        InputError: no frame is left.
+    """
+    if start >= len(recording):
+        raise InputError(f"Start {start} leaves none of {len(recording)} frames: take fewer starts.")
+    directed = Backward(recording) if start % 2 else recording
+    return Selection(directed, range(len(recording))[start::stride], None)
+
+
+def true_poses(recording: Recording) -> Float[np.ndarray, "n 4 4"]:
+    """(N, 4, 4) ground truth of every frame, NaN where it is not known."""
+    poses = np.full((len(recording), 4, 4), np.nan)
+    truth = recording.ground_truth
+    if truth is not None:
+        poses[np.isin(recording.timestamps, truth.timestamps)] = truth.poses
+    return poses
