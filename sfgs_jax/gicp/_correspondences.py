@@ -143,8 +143,8 @@ def _normalised(covariances: Float[Array, "M 3 3"], epsilon: float) -> Float[Arr
     trace = triangles[0] + triangles[3] + triangles[5]
     identity = identity_like(trace)
     # The smallest eigenvalue of trace I - A is the trace less the largest of A.
-    largest = trace - smallest_eigenpair(trace * identity - triangles)[0]
-    scaled = triangles / jnp.where(largest > 0, largest, 1)
+    largest = trace - smallest_eigenpair(trace[None] * identity - triangles)[0]
+    scaled = triangles / jnp.where(largest > 0, largest, 1)[None]
     return ((1 - epsilon) * scaled + epsilon * identity).T
 
 

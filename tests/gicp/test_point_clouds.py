@@ -83,7 +83,7 @@ def test_other_kernels_and_residuals_work_too(clouds, kernel):
 
 def test_normals_are_those_of_the_walls(clouds):
     level = clouds[0].levels[0]
-    points = np.asarray(level.points + clouds[0].origin)
+    points = np.asarray(level.points) + np.asarray(clouds[0].origin)
     for axis in range(3):
         on_wall = np.asarray(level.valid) & (np.abs(points[:, axis] + 1) < 0.005)
         on_wall &= np.all(np.delete(points, axis, axis=1) > -0.7, axis=1)

@@ -21,7 +21,7 @@ def frames(room):
     return [room[i] for i in range(len(room))]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def config() -> SlamConfig:
     """Capacities that suit the small room."""
     return SlamConfig(

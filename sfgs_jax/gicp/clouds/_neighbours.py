@@ -143,7 +143,7 @@ def _around(
     count = jnp.sum(near, axis=0)
     scale = 1 / jnp.maximum(count, 1)
     x, y, z = (
-        near * (c.at[place].get(mode="promise_in_bounds") - q)
+        near * (c.at[place].get(mode="promise_in_bounds") - q[None])
         for c, q in zip(grid.points, queries, strict=True)
     )
     means = [jnp.sum(c, axis=0) * scale for c in (x, y, z)]
