@@ -68,7 +68,7 @@ def reprojection_residuals(
     inverse = 1 / z
     a, b, zero = x * inverse, y * inverse, jnp.zeros_like(x)
     # One for all points, or one for each.
-    sigma = sigma[None] if jnp.ndim(sigma) else sigma
+    sigma = jnp.expand_dims(jnp.asarray(sigma), 0) if jnp.ndim(sigma) else sigma
     offset = jnp.stack([camera.fx * a + camera.cx, camera.fy * b + camera.cy]) - pixels
     rows = [jnp.where(has_image, offset, camera.width) / sigma]
     slopes = [

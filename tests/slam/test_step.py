@@ -126,9 +126,9 @@ def test_adjust_finds_the_same_window_from_another_start(eager_run, config, rng)
     window = eqx.tree_at(lambda w: w.values.poses, window, shaken)
     found = slam.adjust(state.params, window)
     assert float(found.cost) < 1.01 * float(expected.cost) + 1e-3
-    poses = [np.asarray(x.values.poses.wxyz_xyz) for x in (found, expected)]
-    np.testing.assert_allclose(*poses, atol=5e-4)
-    np.testing.assert_array_equal(poses[0][0], np.asarray(window.values.poses.wxyz_xyz)[0])
+    poses = found.values.poses.wxyz_xyz
+    np.testing.assert_allclose(poses, expected.values.poses.wxyz_xyz, atol=5e-4)
+    np.testing.assert_array_equal(poses[0], window.values.poses.wxyz_xyz[0])
 
 
 def test_a_keyframe_is_no_view_where_one_was_just_taken(room, frames, config):
