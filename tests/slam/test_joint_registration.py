@@ -13,6 +13,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam import PoseSource, observe, register, tracker_params
 from sfgs_jax.slam.frontend import motion_from_keypoints, num_explained
 
+# Of the size of the room's images: the intrinsics are no constants of the compiled programs.
 CAMERA = Camera(160.0, 160.0, 79.5, 59.5, width=160, height=120)
 SHIFT = (0.06, -0.03, 0.0)
 
@@ -44,7 +45,7 @@ def wall(image, shift, *, bare=False):
 
 @pytest.fixture
 def tracking(config):
-    return replace(config.tracking, features=replace(config.tracking.features, min_inliers=12))
+    return config.tracking
 
 
 @pytest.fixture
@@ -104,16 +105,25 @@ def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, params, 
 def test_few_keypoints_help_the_surface_but_do_not_stand_without_it(rng, look, params, tracking):
     image = texture(rng)
     target, seen = look(wall(image, (0, 0, 0))), wall(image, SHIFT)
-    blind = look(Frame(seen.rgb, np.zeros_like(seen.depth), 0.0))
-    for least, without in ((20, PoseSource.KEYPOINTS), (300, PoseSource.LOST)):
-        settings = replace(tracking, features=replace(tracking.features, min_inliers_alone=least))
-        found = register(replace(params, config=settings), look(seen), target, se3.identity())
-        assert 20 < int(found.matched.num_inliers) < 300
-        assert int(found.source) == PoseSource.JOINT
-        np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], SHIFT, atol=0.01)
-        assert (
-            int(register(replace(params, config=settings), blind, target, se3.identity()).source) == without
-        )
+    blind = Frame(seen.rgb, np.zeros_like(seen.depth), 0.0)
+    few, many = tracking.features.min_inliers, tracking.features.min_inliers_alone
+
+    def found(frame, keep):
+        """The registration of so many of a frame's keypoints, of those that fit."""
+        seen = look(frame)
+        inliers = register(params, seen, target, se3.identity()).matched.inliers
+        kept = seen.keypoints.features.valid & inliers & (jnp.cumsum(inliers) <= keep)
+        seen = eqx.tree_at(lambda o: o.keypoints.features.valid, seen, kept)
+        return register(params, seen, target, se3.identity())
+
+    for keep, without in ((many + 10, PoseSource.KEYPOINTS), ((few + many) // 2, PoseSource.LOST)):
+        both, alone = found(seen, keep), found(blind, keep)
+        assert int(both.source) == PoseSource.JOINT
+        np.testing.assert_allclose(both.T_target_source.wxyz_xyz[4:], SHIFT, atol=0.01)
+        assert int(alone.source) == without
+        for result in (both, alone):
+            assert (int(result.matched.num_inliers) >= many) == (without == PoseSource.KEYPOINTS)
+            assert int(result.matched.num_inliers) >= few
 
 
 @pytest.mark.parametrize(
@@ -123,9 +133,9 @@ def test_what_the_reference_does_not_show_is_no_reason_to_doubt_a_surface(corner
     """The reference shows half of a corner of three planes; the rest is missing, or something else."""
     look, depth = corner
     part = depth.copy()
-    part[60:] = 0 if shown == "nothing" else part[60:] - 0.15
+    part[60:] = 0 if shown == "nothing" else part[60:] - 0.1
     found = register(params, look(depth), look(part), se3.identity())
-    assert 0.35 < float(found.inlier_fraction) < 0.5
+    assert 0.4 < float(found.inlier_fraction) < 0.5
     assert int(found.num_free) == 0
     assert int(found.source) == expected
 
@@ -156,11 +166,10 @@ def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, params):
 
 @pytest.mark.parametrize(("speed", "coasted"), [(0.03, 4), (0.06, 2)])
 def test_where_the_wall_turns_bare_the_motion_model_carries_so_far_and_no_farther(
-    rng, config, tracking, speed, coasted
+    rng, config, speed, coasted
 ):
     image = texture(rng)
-    mapping = replace(config.mapping, max_width=64, steps_per_frame=0, steps_per_view=0)
-    state = slam.init(CAMERA, replace(config, tracking=tracking, mapping=mapping))
+    state = slam.init(CAMERA, config)
     sources, found = [], []
     for number in range(20):
         frame = wall(image, (speed * number, 0, 0), bare=number > 4)
@@ -174,10 +183,9 @@ def test_where_the_wall_turns_bare_the_motion_model_carries_so_far_and_no_farthe
     np.testing.assert_allclose(found[: 5 + coasted], speed * np.arange(5 + coasted), atol=0.02)
 
 
-def test_the_motion_model_carries_no_frame_after_a_lost_one(rng, config, tracking):
+def test_the_motion_model_carries_no_frame_after_a_lost_one(rng, config):
     image = texture(rng)
-    mapping = replace(config.mapping, max_width=64, steps_per_frame=0, steps_per_view=0)
-    state = slam.init(CAMERA, replace(config, tracking=tracking, mapping=mapping))
+    state = slam.init(CAMERA, config)
     dark = Frame(np.zeros((120, 160, 3), np.float32), np.zeros((120, 160), np.float32), 0.0)
     frames = [wall(image, (0.02 * number, 0, 0), bare=number > 2) for number in range(5)]
     sources = []
@@ -235,8 +243,7 @@ def test_keypoints_beside_an_edge_have_no_depth_and_those_on_a_slope_have(rng, l
     ],
 )
 def test_what_is_left_carries_the_frame(room, frames, config, dark, blind, expected):
-    settings = replace(config.tracking, features=replace(config.tracking.features, min_inliers=12))
-    params = tracker_params(room.camera, settings)
+    params = tracker_params(room.camera, config.tracking)
     frame = frames[1]
     rgb = np.zeros_like(frame.rgb) if dark else frame.rgb
     depth = np.zeros_like(frame.depth) if blind else frame.depth

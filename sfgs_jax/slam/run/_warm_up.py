@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from sfgs_jax.geometry import Camera, Frame, se3
@@ -55,6 +57,9 @@ def _compile_graph(state: SlamState) -> None:
 def _compile_lost(state: SlamState) -> None:
     """Search by the surface, and what follows when a frame is found again."""
     features, pose = state.graph.keyframes[0].features, state.graph.poses[0]
-    search_by_surface(state.params, state.tracker, features)
+    # Around the frame before, and around the reference where that frame is the reference.
+    for has_last in (True, False):
+        tracker = eqx.tree_at(lambda t: t.has_last, state.tracker, jnp.asarray(has_last))
+        search_by_surface(state.params, tracker, features)
     found = register(state.params, features, features, se3.identity())
     place(state.params, state.tracker, features, Localised(0, features, pose, found, False, True))
