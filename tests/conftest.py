@@ -15,9 +15,9 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
-_MANY_MAPS = 25_000
-"""Memory maps of a process beyond which its compiled programs go. Linux allows 65,530 by default, and
-one file's programs take some thousands."""
+_MANY_MAPS = 15_000
+"""Memory maps of a process beyond which its compiled programs go: about 2 GB of programs. Linux allows
+65,530, and the programs of one file take up to 5,000."""
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -23,7 +23,7 @@ from tests.tf32 import at_tf32, default_products
 
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
 MOTION = np.asarray(se3.matrix(se3.exp(jnp.asarray([0.03, -0.02, 0.04, 0.02, -0.03, 0.015]))), np.float64)
-CONFIG = GicpConfig(levels=2)
+CONFIG = GicpConfig(levels=1)
 POINTS = PointsConfig(levels=1, max_points=512)
 KINDS = ("depth", "points", "map")
 METHODS = ("least_squares", "graduated", "ransac")

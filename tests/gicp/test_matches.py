@@ -11,8 +11,11 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import rigid_from_matches
 from tests.gicp.scenes import motion_error
 
+COUNT = 300
+"""Matches of a list, wherever their number doesn't matter: each size is a program of its own."""
 
-def matched(rng, n: int, *, wrong: float = 0.0, noise: float = 0.005) -> tuple[np.ndarray, ...]:
+
+def matched(rng, n: int = COUNT, *, wrong: float = 0.0, noise: float = 0.005) -> tuple[np.ndarray, ...]:
     """Source and target (n, 3) float32, the motion between them, and which matches are right."""
     T = np.eye(4)
     T[:3, :3] = Rotation.random(None, rng).as_matrix()
@@ -29,8 +32,8 @@ def error(result, T: np.ndarray) -> tuple[float, float]:
 
 
 def test_least_squares_is_the_minimum(rng):
-    p, q, _, _ = matched(rng, 50, noise=0.1)
-    weights = rng.random(50).astype(np.float32)
+    p, q, _, _ = matched(rng, noise=0.1)
+    weights = rng.random(COUNT).astype(np.float32)
     result = rigid_from_matches(p, q, weights, method="least_squares")
     mean_p, mean_q = weights @ p / weights.sum(), weights @ q / weights.sum()
     rotation = Rotation.align_vectors(q - mean_q, p - mean_p, weights)[0].as_matrix()
@@ -38,11 +41,11 @@ def test_least_squares_is_the_minimum(rng):
     np.testing.assert_allclose(found[:3, :3], rotation, atol=2e-5)
     np.testing.assert_allclose(found[:3, 3], mean_q - rotation @ mean_p, atol=5e-5)
     assert result.converged
-    assert result.num_inliers == 50
+    assert result.num_inliers == COUNT
 
 
 def test_half_turns_and_mirror_images_are_met_by_rotations(rng):
-    p = rng.normal(size=(30, 3)).astype(np.float32)
+    p = rng.normal(size=(COUNT, 3)).astype(np.float32)
     turn = np.diag([1.0, -1.0, -1.0]).astype(np.float32)
     result = rigid_from_matches(p, p @ turn, method="least_squares")
     np.testing.assert_allclose(se3.matrix(result.T_target_source)[:3, :3], turn, atol=1e-5)
@@ -55,7 +58,7 @@ def test_half_turns_and_mirror_images_are_met_by_rotations(rng):
 @pytest.mark.parametrize(("method", "wrong"), [("graduated", 0.6), ("ransac", 0.7)])
 def test_wrong_matches_are_found_out(rng, key, method, wrong):
     for _ in range(3):
-        p, q, T, right = matched(rng, 300, wrong=wrong)
+        p, q, T, right = matched(rng, wrong=wrong)
         result = rigid_from_matches(p, q, method=method, key=key)
         metres, degrees = error(result, T)
         assert metres < 5e-3
@@ -68,7 +71,7 @@ def test_wrong_matches_are_found_out(rng, key, method, wrong):
 
 @pytest.mark.parametrize("method", ["least_squares", "graduated", "ransac"])
 def test_without_the_last_minimisation_the_motion_is_near_and_has_no_derivatives(rng, key, method):
-    p, q, T, right = matched(rng, 300, wrong=0.0 if method == "least_squares" else 0.5)
+    p, q, T, right = matched(rng, wrong=0.0 if method == "least_squares" else 0.5)
 
     def total(p):
         result = rigid_from_matches(p, q, method=method, key=key, refined=False)
@@ -83,7 +86,7 @@ def test_without_the_last_minimisation_the_motion_is_near_and_has_no_derivatives
 
 
 def test_matches_without_any_agreement_are_not_called_converged(rng, key):
-    p, q, _, _ = matched(rng, 300, wrong=1.0)
+    p, q, _, _ = matched(rng, wrong=1.0)
     for method in ("graduated", "ransac"):
         assert not rigid_from_matches(p, q, method=method, key=key).converged
 
@@ -110,7 +113,7 @@ def test_few_matches_make_no_nan_and_say_what_they_fix(rng, key, method, count):
 
 
 def test_points_on_a_line_leave_the_turn_about_it(rng):
-    p = np.outer(np.linspace(-1, 1, 20), [1.0, 2.0, -1.0]).astype(np.float32)
+    p = np.outer(np.linspace(-1, 1, COUNT), [1.0, 2.0, -1.0]).astype(np.float32)
     result = rigid_from_matches(p, p + np.float32(0.5), method="least_squares")
     assert not result.unique
     assert not result.converged
@@ -120,19 +123,19 @@ def test_points_on_a_line_leave_the_turn_about_it(rng):
 
 
 def test_masked_and_broken_rows_don_t_count(rng, key):
-    p, q, T, _ = matched(rng, 100)
+    p, q, T, _ = matched(rng)
     p[:10], q[10:20], q[20:40] = np.nan, np.inf, 7.0
-    valid = np.arange(100) >= 40
+    valid = np.arange(COUNT) >= 40
     valid[:20] = True
     for method in ("least_squares", "graduated", "ransac"):
         result = rigid_from_matches(p, q, valid=valid, method=method, key=key)
         assert error(result, T)[0] < 5e-3
-        assert result.num_inliers == 60
+        assert result.num_inliers == COUNT - 40
         assert not np.any(np.asarray(result.inliers)[:40])
 
 
 def test_matches_far_from_the_origin(rng):
-    p, q, T, _ = matched(rng, 200)
+    p, q, T, _ = matched(rng)
     away = np.array([4e3, -2e3, 1e3], np.float32)
     result = rigid_from_matches(p + away, q + away)
     moved = np.asarray(se3.transform(result.T_target_source, jnp.asarray(p + away)), np.float64) - away
@@ -156,12 +159,14 @@ def test_derivatives_are_those_of_finite_differences(float64, rng, method):
     def motion(p, q, weights):
         return rigid_from_matches(p, q, weights, method=method).T_target_source.wxyz_xyz
 
-    rates = [jnp.asarray(rng.normal(size=x.shape)) for x in (p, q, weights)]
-    _, found = jax.jvp(motion, (p, q, weights), tuple(rates))
+    rates = tuple(jnp.asarray(rng.normal(size=x.shape)) for x in (p, q, weights))
+
+    def motion_and_rate(s):
+        """By one program: another for the motion alone would have to be compiled."""
+        return jax.jvp(motion, tuple(x + s * r for x, r in zip((p, q, weights), rates, strict=True)), rates)
+
     h = 1e-5
-    up, down = (
-        motion(*(x + s * h * r for x, r in zip((p, q, weights), rates, strict=True))) for s in (1, -1)
-    )
+    (_, found), (up, _), (down, _) = (motion_and_rate(s) for s in (0, h, -h))
     np.testing.assert_allclose(found, (up - down) / (2 * h), rtol=1e-4, atol=1e-5)
 
 

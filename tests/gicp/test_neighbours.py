@@ -7,14 +7,15 @@ import pytest
 from scipy.spatial import KDTree
 
 from sfgs_jax.arrays import INDICES, InputError
-from sfgs_jax.gicp.clouds import (
-    build_hash,
-    nearest,
-    neighbourhoods,
-    neighbouring_runs,
-    occupied_cells,
-    voxel_means,
-)
+from sfgs_jax.gicp import clouds
+from sfgs_jax.gicp.clouds import occupied_cells
+
+# Each compiled as a whole, as the library does. One by one their operations are a hundred programs a size.
+build_hash = jax.jit(clouds.build_hash)
+nearest = jax.jit(clouds.nearest, static_argnames="slots")
+neighbourhoods = jax.jit(clouds.neighbourhoods, static_argnames=("k", "min_count", "slots", "doublings"))
+voxel_means = jax.jit(clouds.voxel_means, static_argnames="capacity")
+neighbouring_runs = jax.jit(clouds.neighbouring_runs)
 
 
 def surface_points(rng, n: int) -> np.ndarray:
