@@ -26,7 +26,7 @@ def test_keypoints_are_carried_over_exactly(rng):
         return jax.value_and_grad(lambda x: reprojection_loss(x[0], x[1], H_b_a, HIDDEN, HIDDEN))(logits)
 
     assert default_products(evaluate, logits, H_b_a) == []
-    loss, gradient = evaluate(logits, H_b_a)
+    loss, gradient = jax.jit(evaluate)(logits, H_b_a)
     rounded_loss, rounded_gradient = at_tf32(evaluate)(logits, H_b_a)
     assert float(rounded_loss) == pytest.approx(float(loss), rel=1e-5)
     np.testing.assert_allclose(rounded_gradient, gradient, atol=1e-4 * float(jnp.abs(gradient).max()))
