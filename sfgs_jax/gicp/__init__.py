@@ -16,6 +16,8 @@ from sfgs_jax.gicp._normal_equations import MotionPrior as MotionPrior
 from sfgs_jax.gicp._normal_equations import NormalEquations as NormalEquations
 from sfgs_jax.gicp._normal_equations import weight_matrices as weight_matrices
 from sfgs_jax.gicp._point_files import load_points as load_points
+from sfgs_jax.gicp._sweep import RowMotion as RowMotion
+from sfgs_jax.gicp._sweep import Sweep as Sweep
 from sfgs_jax.gicp.clouds import OrganisedCloud as OrganisedCloud
 from sfgs_jax.gicp.clouds import OrganisedLevel as OrganisedLevel
 from sfgs_jax.gicp.clouds import PointCloud as PointCloud

@@ -18,12 +18,13 @@ from sfgs_jax.gicp._config import GicpConfig
 from sfgs_jax.gicp._implicit import newton_corrected
 from sfgs_jax.gicp._level_problem import Levels, Minimum, level_problem
 from sfgs_jax.gicp._normal_equations import MotionPrior
+from sfgs_jax.gicp._sweep import Sweep
 from sfgs_jax.gicp.clouds import OrganisedCloud, PointCloud
 
 Cloud = OrganisedCloud | PointCloud
 
-_Inputs = tuple[Levels, Levels, jaxlie.SE3, MotionPrior | None, Int[Array, ""]]
-"""Levels of the source, levels of the target, start, prior, coarsest level."""
+_Inputs = tuple[Levels, Levels, jaxlie.SE3, MotionPrior | None, Int[Array, ""], Sweep | None]
+"""Levels of the source, levels of the target, start, prior, coarsest level, sweep of the source."""
 _Outputs = tuple[jaxlie.SE3, Int[Array, ""], Bool[Array, ""]]
 """Fields of a `Minimum`: the rule of a derivative gives None for those that have none."""
 
@@ -35,6 +36,7 @@ def align(
     *,
     prior: MotionPrior | None = None,
     coarsest: int | Int[Array, ""] | None = None,
+    sweep: Sweep | None = None,
     config: GicpConfig | None = None,
 ) -> RegistrationResult:
     """Motion that lays the source on the target, from a start near it.
@@ -55,10 +57,13 @@ def align(
         prior: prior of the motion, weighed against the residuals by their noise.
         coarsest: level to begin with, counted from 0, the finest; all levels if not given. A start that is
             good to a few centimetres needs no coarse ones. A new value does not compile anew.
+        sweep: motion of the camera while the source was read, for organised sources. Each step renews it;
+            the derivative of the motion takes it as it was at the end.
         config: settings, `GicpConfig()` if not given.
 
     Raises:
-        InputError: an organised cloud was prepared with another number of levels than the config's.
+        InputError: an organised cloud was prepared with another number of levels than the config's, or an
+            unorganised source has a sweep.
     """
     config = GicpConfig() if config is None else config
     for name, cloud in (("source", source), ("target", target)):
@@ -67,9 +72,11 @@ def align(
                 f"The {name} has {len(cloud.levels)} levels, but the config {config.levels}; "
                 "prepare both clouds with this config."
             )
+    if sweep is not None and not isinstance(source, OrganisedCloud):
+        raise InputError("Only a depth image has rows that a sweep could move: leave out `sweep` for points.")
     levels = max(len(source.levels), len(target.levels))
     begin = jnp.asarray(levels - 1 if coarsest is None else coarsest, jnp.int32)
-    return _align(source, target, init_T_target_source, prior, jnp.maximum(begin, 0), config)
+    return _align(source, target, init_T_target_source, prior, jnp.maximum(begin, 0), sweep, config)
 
 
 @partial(jax.jit, static_argnames="config")
@@ -79,13 +86,16 @@ def _align(
     start: jaxlie.SE3,
     prior: MotionPrior | None,
     coarsest: Int[Array, ""],
+    sweep: Sweep | None,
     config: GicpConfig,
 ) -> RegistrationResult:
     frames = CentredFrames(_origin(source), _origin(target))
     prior = None if prior is None else frames.centred_prior(prior)
-    inputs = source.levels, target.levels, frames.centred(start), prior, coarsest
+    inputs = source.levels, target.levels, frames.centred(start), prior, coarsest, sweep
     minimum = Minimum(*_coarse_to_fine(inputs, config=config))
-    finest = level_problem(source.levels, target.levels, None, 0, config, decimation=ASSESSMENT_DECIMATION)
+    finest = level_problem(
+        source.levels, target.levels, None, 0, config, sweep=sweep, decimation=ASSESSMENT_DECIMATION
+    ).at(minimum.T_target_source)
     # Only the motion has derivatives: those of eigenvectors that are not unique would be NaN.
     result = assess(*lax.stop_gradient((finest, minimum)))
     return replace(
@@ -99,10 +109,10 @@ def _align(
 @eqx.filter_custom_jvp
 def _coarse_to_fine(inputs: _Inputs, *, config: GicpConfig) -> _Outputs:
     """Minimum of each level in turn, from the coarsest to the finest, as the start of the next."""
-    source, target, T, prior, coarsest = inputs
+    source, target, T, prior, coarsest, sweep = inputs
     iterations, converged = jnp.asarray(0), jnp.asarray(False)
     for index in reversed(range(max(len(source), len(target)))):
-        problem = level_problem(source, target, prior, index, config)
+        problem = level_problem(source, target, prior, index, config, sweep=sweep)
         minimum = problem.minimise(T, skipped=index > coarsest)
         T, converged = minimum.T_target_source, minimum.converged
         iterations += minimum.iterations
@@ -118,8 +128,9 @@ def _coarse_to_fine_jvp(
     outputs = _coarse_to_fine(inputs, config=config)
 
     def corrected(moving: _Inputs) -> jaxlie.SE3:
-        source, target, _, prior, _ = moving
-        return newton_corrected(level_problem(source, target, prior, 0, config), outputs[0])
+        source, target, _, prior, _, sweep = moving
+        finest = level_problem(source, target, prior, 0, config, sweep=sweep).at(outputs[0])
+        return newton_corrected(finest, outputs[0])
 
     _, rate = eqx.filter_jvp(corrected, (inputs,), (rates,))
     return outputs, (rate, None, None)

@@ -22,7 +22,9 @@ from sfgs_jax.arrays import (
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.gicp._config import GicpConfig, at_level
 from sfgs_jax.gicp._exact_products import exact_products
+from sfgs_jax.gicp._sweep import RowMotion
 from sfgs_jax.gicp.clouds import OrganisedLevel, PointLevel, SpatialHash, nearest
+from sfgs_jax.sensors import carried, row_places, turned
 
 _NEAREST_SLOTS = 32
 """Most candidates in the search for the nearest point."""
@@ -36,6 +38,7 @@ class SourcePoints(eqx.Module):
         normals: (3, N) unit normals.
         variance: (N,) or (1,) variance expected of a distance along the normal, square metres.
         valid: (N,) mask.
+        rows: (N,) `row_places` of the points in the depth image; None for a list.
         oriented: whether the normals face the sensor; else they have either sign. Static.
     """
 
@@ -43,6 +46,7 @@ class SourcePoints(eqx.Module):
     normals: Float[Array, "3 N"]
     variance: Float[Array, " V"]
     valid: Bool[Array, " N"]
+    rows: Float[Array, " N"] | None
     oriented: bool = eqx.field(static=True)
 
 
@@ -95,11 +99,27 @@ def source_points(level: OrganisedLevel | PointLevel, stride: int, config: GicpC
     """Points of a level as source; of an organised one every stride-th row and column."""
     if isinstance(level, PointLevel):
         variance = level.deviation[None] ** 2
-        return SourcePoints(level.points.T, level.normals.T, variance, level.valid, oriented=False)
+        return SourcePoints(level.points.T, level.normals.T, variance, level.valid, None, oriented=False)
     surface, valid = (x[::stride, ::stride] for x in (level.surface, level.valid))
     columns = surface.reshape(-1, 6).T
     variance = (config.noise + config.noise_per_square_metre * columns[2] ** 2) ** 2
-    return SourcePoints(columns[:3], columns[3:], variance, valid.reshape(-1), oriented=True)
+    height = level.camera.height
+    rows = row_places(jnp.arange(0, height, stride, dtype=columns.dtype), height)
+    rows = jnp.broadcast_to(rows[:, None], valid.shape).reshape(-1)
+    return SourcePoints(columns[:3], columns[3:], variance, valid.reshape(-1), rows, oriented=True)
+
+
+def with_moving_rows(source: SourcePoints, moving: RowMotion) -> SourcePoints:
+    """Points of a depth image at the time of its frame, whose rows were read while the camera moved.
+
+    Args:
+        source: points as they were read.
+        moving: the motion.
+    """
+    assert source.rows is not None
+    times = moving.timing.depth_times(source.rows)
+    points, normals = carried(source.points, moving.twist, times), turned(source.normals, moving.twist, times)
+    return eqx.tree_at(lambda s: (s.points, s.normals), source, (points, normals))
 
 
 def target_surface(level: OrganisedLevel | PointLevel, index: int, config: GicpConfig) -> TargetSurface:

@@ -1,6 +1,7 @@
 """One level of an alignment: its normal equations at a motion, and the steps to the minimum."""
 
 import math
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -19,6 +20,7 @@ from sfgs_jax.gicp._correspondences import (
     associate,
     source_points,
     target_surface,
+    with_moving_rows,
 )
 from sfgs_jax.gicp._normal_equations import (
     MotionPrior,
@@ -36,6 +38,7 @@ from sfgs_jax.gicp._normal_equations import (
     weight_matrices,
     weighted_residuals,
 )
+from sfgs_jax.gicp._sweep import RowMotion, Sweep
 from sfgs_jax.gicp.clouds import OrganisedLevel, PointLevel
 
 Levels = tuple[OrganisedLevel, ...] | tuple[PointLevel, ...]
@@ -67,6 +70,8 @@ class LevelProblem(eqx.Module):
         target: surface to align them with.
         moments: (10, N) `point_moments` of the source points.
         prior: prior of the motion; None without one.
+        sweep: motion while the source was read, by which its points move with the motion sought; None where
+            they do not.
         kernel_width: width of the robust kernel at this level, standard deviations; static.
         redundancy: source points per independent measurement: windows of neighbouring pixels share most of
             their depths. A prior is weighed up by it. Static.
@@ -80,12 +85,22 @@ class LevelProblem(eqx.Module):
     target: TargetSurface
     moments: Float[Array, "10 N"]
     prior: MotionPrior | None
+    sweep: Sweep | None
     kernel_width: float = eqx.field(static=True)
     redundancy: float = eqx.field(static=True)
     decimation: int = eqx.field(static=True)
     max_iterations: int = eqx.field(static=True)
     tolerance: float = eqx.field(static=True)
     config: GicpConfig = eqx.field(static=True)
+
+    def at(self, T_target_source: jaxlie.SE3) -> "LevelProblem":
+        """The problem with its points where they are if this is the motion."""
+        return self if self.sweep is None else self.with_moving_rows(self.sweep.at(T_target_source))
+
+    def with_moving_rows(self, moving: RowMotion) -> "LevelProblem":
+        """The problem with the points of a source that was read with a given motion."""
+        source = with_moving_rows(self.source, moving)
+        return replace(self, source=source, moments=point_moments(source.points), sweep=None)
 
     def correspondences(self, T_target_source: jaxlie.SE3) -> Correspondences:
         """Correspondences at a motion."""
@@ -158,7 +173,8 @@ class LevelProblem(eqx.Module):
 
         def step(state: Minimum) -> Minimum:
             T = state.T_target_source
-            T, short = self._moved(T, self.equations(T, self.correspondences(T)), damping)
+            now = self.at(T)
+            T, short = self._moved(T, now.equations(T, now.correspondences(T)), damping)
             return Minimum(T, state.iterations + 1, short)
 
         return lax.while_loop(unfinished, step, Minimum(T, jnp.asarray(0), skipped))
@@ -172,7 +188,8 @@ class LevelProblem(eqx.Module):
 
         def step(state: _Trial) -> _Trial:
             T, short = self._moved(state.T, state.equations, state.damping)
-            equations = self.equations(T, self.correspondences(T))
+            now = self.at(T)
+            equations = now.equations(T, now.correspondences(T))
             # A change of the cost below its rounding is no rise.
             better = equations.cost <= state.equations.cost * (1 + 1e-5)
             T, equations = jax.tree.map(
@@ -181,7 +198,8 @@ class LevelProblem(eqx.Module):
             damping = jnp.clip(state.damping * jnp.where(better, 0.1, 10), 1e-6, 1e6)
             return _Trial(T, equations, damping, state.iterations + 1, short)
 
-        start = _Trial(T, self.equations(T, self.correspondences(T)), damping, jnp.asarray(0), skipped)
+        now = self.at(T)
+        start = _Trial(T, now.equations(T, now.correspondences(T)), damping, jnp.asarray(0), skipped)
         end = lax.while_loop(unfinished, step, start)
         return Minimum(end.T, end.iterations, end.converged)
 
@@ -211,6 +229,7 @@ def level_problem(
     index: int,
     config: GicpConfig,
     *,
+    sweep: Sweep | None = None,
     decimation: int = 1,
 ) -> LevelProblem:
     """Problem of a level; a cloud with fewer levels repeats its coarsest.
@@ -221,6 +240,7 @@ def level_problem(
         prior: prior of the motion; None without one.
         index: level, counted from the finest.
         config: settings.
+        sweep: motion while an organised source was read.
         decimation: factor by which an organised source gets fewer rows, and fewer columns, than it aligns.
     """
     level = at_level(source, index)
@@ -233,6 +253,7 @@ def level_problem(
         target=target_surface(at_level(target, index), index, config),
         moments=point_moments(points.points),
         prior=prior,
+        sweep=sweep,
         kernel_width=config.kernel_width * 2**index,
         redundancy=_redundancy(level, stride, config),
         decimation=decimation**2,

@@ -14,6 +14,7 @@ from sfgs_jax.slam.config import SeedingConfig as SeedingConfig
 from sfgs_jax.slam.config import SlamConfig as SlamConfig
 from sfgs_jax.slam.config import TrackingConfig as TrackingConfig
 from sfgs_jax.slam.frontend import TrackInfo as TrackInfo
+from sfgs_jax.slam.frontend import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend import init_tracker as init_tracker
 from sfgs_jax.slam.frontend import observe as observe
 from sfgs_jax.slam.frontend import register as register

@@ -94,7 +94,7 @@ def follow(
 
     with stages("graph"):
         config, frames = state.config.graph, (before.log.newest, number)
-        graph = with_new_keyframes(before.graph, before.tracker, found, frames, config)
+        graph = with_new_keyframes(before.graph, before.tracker, tracker, found, frames, config)
         grown = len(graph.keyframes) > len(before.graph.keyframes)
         graph, closed = advance_graph(state.params, graph, config, grown=grown)
         if graph.poses is not before.graph.poses:

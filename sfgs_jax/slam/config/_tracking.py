@@ -76,6 +76,15 @@ class TrackingConfig:
     """Whether GICP takes part. Without it keypoints alone give the poses."""
     num_references: int = 2
     """Keyframes that the tracker holds. Frames are registered to the newest of them."""
+    estimate_timing: bool = False
+    """Whether the rows of an image have times of their own, which are estimated while tracking: rolling
+    shutters, and depth that is not exposed together with colour. Rows then move with the camera."""
+    delay_sigma: float = 0.01
+    """Standard deviation of the time from colour's exposure to depth's, as known before the first frame,
+    seconds. The two streams of most cameras are at most half a frame apart."""
+    readout_sigma: float = 0.02
+    """Standard deviation of the time that a rolling shutter takes for an image, as known before the first
+    frame, seconds. Global shutters take none, slow ones the whole time between two frames."""
     motion_model_sigma: float = 0.1
     """Standard deviation of the constant-velocity motion model, metres and radians."""
     min_inlier_fraction: float = 0.3
@@ -110,9 +119,10 @@ class TrackingConfig:
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
-        check_counts(self, 1, "num_references")
+        # One frame may bring two keyframes.
+        check_counts(self, 2, "num_references")
         check_counts(self, 0, "max_motion_model_frames", "max_lost")
-        check_positive(self, "motion_model_sigma")
+        check_positive(self, "motion_model_sigma", "delay_sigma", "readout_sigma")
         check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
         check_range(self, 0, 1, "keyframe_inlier_fraction")
         check_range(self, 0, math.inf, "max_correction_alone", "search_angle", "max_disagreement")

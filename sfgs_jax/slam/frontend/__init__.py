@@ -20,7 +20,9 @@ from sfgs_jax.slam.frontend._pose_source import judge as judge
 from sfgs_jax.slam.frontend._pose_source import supports_edge as supports_edge
 from sfgs_jax.slam.frontend._pose_source import supports_loop as supports_loop
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation as supports_relocalisation
+from sfgs_jax.slam.frontend._rectification import rectified as rectified
 from sfgs_jax.slam.frontend._track import TrackInfo as TrackInfo
+from sfgs_jax.slam.frontend._track import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend._track import init_tracker as init_tracker
 from sfgs_jax.slam.frontend._track import needs_keyframe as needs_keyframe
 from sfgs_jax.slam.frontend._track import track as track

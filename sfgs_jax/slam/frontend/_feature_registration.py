@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
 from sfgs_jax.geometry import Camera, kernel_weight, reprojection_residuals, se3
+from sfgs_jax.sensors import carried, row_places
 from sfgs_jax.slam.config import FeaturesConfig
 from sfgs_jax.slam.state._frame_features import Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
@@ -26,10 +27,16 @@ class _Rows(NamedTuple):
     pixels: Float[Array, "k 2"]
     depth: Float[Array, " k"]
     valid: Bool[Array, " k"]
+    sweep: gicp.Sweep | None
 
 
 def motion_from_keypoints(
-    source: Keypoints, target: Keypoints, guess: jaxlie.SE3, camera: Camera, config: FeaturesConfig
+    source: Keypoints,
+    target: Keypoints,
+    guess: jaxlie.SE3,
+    camera: Camera,
+    config: FeaturesConfig,
+    sweep: gicp.Sweep | None = None,
 ) -> FeatureRegistration:
     """Match two frames' keypoints and find the motion between the frames.
 
@@ -44,6 +51,7 @@ def motion_from_keypoints(
         guess: the motion as it is thought to be.
         camera: intrinsics of both.
         config: settings.
+        sweep: motion of the source while it was read; None where it stood still.
     """
     slots = source.depth.shape[0]
     if slots == 0:
@@ -52,7 +60,7 @@ def motion_from_keypoints(
         return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
     matches = match(source.features, target.features, min_similarity=config.min_similarity)
     valid = matches.valid & target.measured[matches.index_b]
-    rows = _Rows(target.points[matches.index_b], source.features.keypoints, source.depth, valid)
+    rows = _Rows(target.points[matches.index_b], source.features.keypoints, source.depth, valid, sweep)
 
     num_matches = jnp.sum(valid, dtype=jnp.int32)
     guessed = _support(guess, rows, camera, config)
@@ -83,9 +91,11 @@ def num_explained(
     target: Keypoints,
     camera: Camera,
     config: FeaturesConfig,
+    sweep: gicp.Sweep | None = None,
 ) -> Int[Array, ""]:
     """Inliers that another motion explains too, counted."""
-    rows = _Rows(target.points[matched.index], source.features.keypoints, source.depth, matched.inliers)
+    points, pixels = target.points[matched.index], source.features.keypoints
+    rows = _Rows(points, pixels, source.depth, matched.inliers, sweep)
     return jnp.sum(_explained(T_target_source, rows, camera, config, config.inlier_pixels), dtype=jnp.int32)
 
 
@@ -111,6 +121,11 @@ def _residuals(
     """Whitened residuals of T_target_source, their Jacobians in its tangent, and which rows have an image."""
     # Rows that are not valid may hold anything: they go to where nothing has an image.
     points = jnp.where(rows.valid, se3.transform(se3.inverse(T), rows.points).T, 0)
+    if rows.sweep is not None:
+        moving = rows.sweep.at(T)
+        times = moving.timing.colour_times(row_places(rows.pixels[:, 1], camera.height))
+        # The Jacobian leaves out that the twist turns with T: it says where to step, not where to end.
+        points = carried(points, moving.twist, -times)
     found = reprojection_residuals(
         camera,
         points,

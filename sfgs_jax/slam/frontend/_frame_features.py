@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from sfgs_jax import gicp
 from sfgs_jax.geometry import Camera, Frame, clean_depth
+from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._image_signature import image_signature
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
@@ -19,15 +20,18 @@ _BLOCK = 4
 """Side of the blocks of pixels that contrast is measured between. Their means have little noise."""
 
 
-def tracker_params(camera: Camera, config: TrackingConfig) -> TrackerParams:
+def tracker_params(
+    camera: Camera, config: TrackingConfig, timing: SensorTiming | None = None
+) -> TrackerParams:
     """Parameters of tracking with the shipped keypoint network.
 
     Args:
         camera: intrinsics of the frames.
         config: settings.
+        timing: times of the camera's rows as known before the first frame; all at once if not given.
     """
     network = load_weights() if config.features.kind == "superfeats" else None
-    return TrackerParams(camera, network, config)
+    return TrackerParams(camera, network, timing or SensorTiming(), config)
 
 
 def observe(params: TrackerParams, frame: Frame) -> FrameFeatures:

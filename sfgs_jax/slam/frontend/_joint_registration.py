@@ -14,6 +14,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._feature_registration import motion_from_keypoints, num_explained
 from sfgs_jax.slam.frontend._pose_source import Evidence, judge, rests_on_surface
+from sfgs_jax.slam.frontend._rectification import with_depth_in_time
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import FeatureRegistration, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -38,6 +39,7 @@ def register(
     target: FrameFeatures,
     guess: jaxlie.SE3,
     allowed: Allowed | None = None,
+    sweep: gicp.Sweep | None = None,
 ) -> Registration:
     """Find T_target_source by keypoints and surface together.
 
@@ -53,9 +55,13 @@ def register(
         target: the frame to locate it in.
         guess: T_target_source to start from.
         allowed: sources of a pose that the frames before allow; all of them if not given.
+        sweep: motion of the source while it was read; None for a rectified source. The target is rectified.
     """
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
-    matched = motion_from_keypoints(source.keypoints, target.keypoints, guess, params.camera, features)
+    if sweep is not None:
+        keypoints = with_depth_in_time(source, params.camera, sweep.at(guess))
+        source = FrameFeatures(source.cloud, keypoints)
+    matched = motion_from_keypoints(source.keypoints, target.keypoints, guess, params.camera, features, sweep)
     share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
     helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
     many = matched.num_inliers >= features.min_inliers_alone
@@ -63,7 +69,7 @@ def register(
     if not config.use_surface:
         return _without_surface(matched, start, helpful, many)
 
-    surface = _align(params, source, target, matched, start, helpful, many)
+    surface = _align(params, source, target, matched, start, helpful, many, sweep)
     fits = surface.inlier_fraction >= config.min_inlier_fraction
     num_free = jnp.sum(surface.free)
     # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
@@ -74,7 +80,7 @@ def register(
         keypoints=keypoints,
         many_keypoints=many,
         surface=fits,
-        agree=_agree(params, source, target, matched, T),
+        agree=_agree(params, source, target, matched, T, sweep),
         surface_alone=_stands_alone(surface, _apart(guess, T), config),
         free=num_free > 0,
         surface_allowed=allowed.surface,
@@ -98,10 +104,11 @@ def _agree(
     target: FrameFeatures,
     matched: FeatureRegistration,
     T: jaxlie.SE3,
+    sweep: gicp.Sweep | None,
 ) -> Bool[Array, ""]:
     """True if the keypoints' motion is close to the surface's, or that explains most of their inliers."""
-    config = params.config
-    explained = num_explained(T, matched, source.keypoints, target.keypoints, params.camera, config.features)
+    config, points = params.config, (source.keypoints, target.keypoints)
+    explained = num_explained(T, matched, *points, params.camera, config.features, sweep)
     close = _apart(matched.T_target_source, T) < config.max_disagreement
     return close | (2 * explained > matched.num_inliers)
 
@@ -131,6 +138,7 @@ def _align(
     start: jaxlie.SE3,
     helpful: Bool[Array, ""],
     many: Bool[Array, ""],
+    sweep: gicp.Sweep | None,
 ) -> gicp.RegistrationResult:
     """GICP with the matches' quadratic form as a prior, or the motion model's where there are too few."""
     config = params.config
@@ -138,7 +146,8 @@ def _align(
     prior = gicp.MotionPrior(start, jnp.where(helpful, matched.information, weak))
     # Many keypoints bring the start within reach of the finer levels.
     coarsest = jnp.where(helpful & many, 1, config.gicp.levels - 1)
-    return gicp.align(source.cloud, target.cloud, start, prior=prior, coarsest=coarsest, config=config.gicp)
+    clouds = source.cloud, target.cloud
+    return gicp.align(*clouds, start, prior=prior, coarsest=coarsest, sweep=sweep, config=config.gicp)
 
 
 def _stands_alone(

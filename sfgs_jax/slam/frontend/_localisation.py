@@ -22,7 +22,7 @@ from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._image_signature import similarities
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation
-from sfgs_jax.slam.frontend._track import TrackInfo, allowed_sources, settle, track
+from sfgs_jax.slam.frontend._track import TrackInfo, allowed_sources, rectified_last, settle, track
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource, Registration
@@ -143,7 +143,7 @@ def search_by_surface(params: TrackerParams, tracker: Tracker, features: FrameFe
     if not config.use_surface or not bool(allowed.surface):
         return None
     bridged = bool(tracker.has_last)
-    target = tracker.last if bridged else current_reference(tracker)
+    target = rectified_last(params, tracker) if bridged else reference_at(tracker, tracker.current)
     pose = tracker.T_world_cam.wxyz_xyz if bridged else tracker.reference_poses[tracker.current]
     keyframe = tracker.num_keyframes if bridged else tracker.reference_keyframes[tracker.current]
     for turn in config.search_angle * _TURNS:
@@ -205,20 +205,12 @@ def _place(
     bridged: Array,
 ) -> tuple[Tracker, TrackInfo]:
     before = tracker.T_world_cam
-    tracker = with_reference(tracker, reference, jnp.asarray(pose), keyframe)
+    # The motion by which the reference was rectified is not kept with keyframes.
+    unknown = eqx.tree_at(lambda m: m.known, tracker.last_motion, jnp.asarray(False))
+    tracker = with_reference(tracker, reference, unknown, jnp.asarray(pose), keyframe)
     count = jnp.maximum(tracker.num_keyframes, keyframe + 1)
     tracker = eqx.tree_at(lambda t: t.num_keyframes, tracker, count)
     tracker, info = settle(
         params, tracker, features, found, before=before, source=found.source, relocalised=relocalised
     )
     return tracker, eqx.tree_at(lambda i: i.bridged, info, bridged)
-
-
-@jax.jit
-def current_reference(tracker: Tracker) -> FrameFeatures:
-    """Features of the keyframe that frames are registered to.
-
-    Args:
-        tracker: with at least one keyframe.
-    """
-    return reference_at(tracker, tracker.current)

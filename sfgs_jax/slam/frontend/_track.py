@@ -7,13 +7,23 @@ import jaxlie
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax import gicp
 from sfgs_jax.geometry import se3
+from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._frame_features import feature_shapes, frame_features
 from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, register
+from sfgs_jax.slam.frontend._rectification import rectified
+from sfgs_jax.slam.frontend._timing_estimate import timing_information
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import PoseSource, Registration
-from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, empty_tracker, with_reference
+from sfgs_jax.slam.state._tracker import (
+    Tracker,
+    TrackerParams,
+    empty_tracker,
+    reference_at,
+    with_reference,
+)
 from sfgs_jax.superfeats import Features
 
 _BY_LAST = 2
@@ -31,7 +41,7 @@ class TrackInfo(eqx.Module):
         reference: number of the keyframe that it was registered to.
         bridged: whether the frame before it became a keyframe first, because the reference shared too little.
         new_keyframe: whether the frame became a keyframe.
-        features: its features.
+        features: its features, not rectified; the tracker's references are.
     """
 
     T_world_cam: jaxlie.SE3
@@ -94,7 +104,7 @@ def track(
     source = jnp.where(is_first, begun, found.source)
     bridged = (source != PoseSource.LOST) & (attempt >= _BY_LAST) & ~is_first
     before = tracker.T_world_cam
-    tracker = _push_if(bridged, tracker, tracker.last, before)
+    tracker = _push_if(bridged, params, tracker, tracker.last, tracker.last_motion, before)
     tracker, info = settle(params, tracker, seen, found, before=before, source=source)
     return tracker, eqx.tree_at(lambda i: i.bridged, info, bridged)
 
@@ -126,6 +136,9 @@ def settle(
     could_be_keyframe = tracked & seen.registrable & firm
     new_keyframe = could_be_keyframe & (is_first | needs_keyframe(found, params.config))
     T = jnp.where(tracked & ~is_first, found.T_target_source.wxyz_xyz, tracker.T_reference_cam.wxyz_xyz)
+    sweep = _sweep(params, tracker, tracker.T_reference_cam)
+    motion = tracker.last_motion if sweep is None else sweep.at(jaxlie.SE3(T))
+    tracker = _with_timing(params, tracker, seen, found, motion, tracked & ~is_first)
     tracker = _moved(tracker, before, jaxlie.SE3(T), source, relocalised)
     info = TrackInfo(
         T_world_cam=tracker.T_world_cam,
@@ -137,8 +150,8 @@ def settle(
         new_keyframe=new_keyframe,
         features=seen,
     )
-    tracker = _push_if(new_keyframe, tracker, seen, info.T_world_cam)
-    return _remembered(tracker, seen, found, tracked, could_be_keyframe & ~new_keyframe), info
+    tracker = _push_if(new_keyframe, params, tracker, seen, motion, info.T_world_cam)
+    return _remembered(tracker, seen, motion, found, tracked, could_be_keyframe & ~new_keyframe), info
 
 
 def needs_keyframe(found: Registration, config: TrackingConfig) -> Bool[Array, ""]:
@@ -186,15 +199,79 @@ _Inputs = tuple[TrackerParams, Tracker, FrameFeatures]
 def _register_at(inputs: _Inputs, attempt: Int[Array, ""]) -> Registration:
     params, tracker, seen = inputs
     by_last = attempt >= _BY_LAST
-    target = jax.tree.map(
-        lambda ring, last: jnp.where(
-            by_last, last, lax.dynamic_index_in_dim(ring, tracker.current, 0, False)
-        ),
-        tracker.references,
-        tracker.last,
+    target = lax.cond(
+        by_last,
+        lambda: rectified_last(params, tracker),
+        lambda: reference_at(tracker, tracker.current),
     )
     guess = jaxlie.SE3(_starts(tracker)[attempt])
-    return register(params, seen, target, guess, allowed_sources(tracker, params.config))
+    identity = se3.identity(guess.wxyz_xyz.dtype).wxyz_xyz
+    before = jaxlie.SE3(jnp.where(by_last, identity, tracker.T_reference_cam.wxyz_xyz))
+    sweep = _sweep(params, tracker, before)
+    return register(params, seen, target, guess, allowed_sources(tracker, params.config), sweep)
+
+
+def _sweep(params: TrackerParams, tracker: Tracker, T_target_before: jaxlie.SE3) -> gicp.Sweep | None:
+    """Motion of the newest frame while it was read; unknown after a lost frame."""
+    if not params.config.estimate_timing:
+        return None
+    seconds = jnp.where(tracker.lost_in_a_row == 0, tracker.since_tracked, 0)
+    return gicp.Sweep(T_target_before, seconds, estimated_timing(params, tracker)[0])
+
+
+def estimated_timing(params: TrackerParams, tracker: Tracker) -> tuple[SensorTiming, Float[Array, "3 3"]]:
+    """Times of the camera's rows as the frames so far show them, and their covariance in s².
+
+    Without `TrackingConfig.estimate_timing` these are the times known before the first frame.
+
+    Args:
+        params: parameters of tracking.
+        tracker: after these frames.
+    """
+    sigmas = _timing_sigmas(params)
+    return tracker.timing.estimate(params.timing, sigmas), tracker.timing.covariance(sigmas)
+
+
+def _timing_sigmas(params: TrackerParams) -> Float[Array, "3"]:
+    config = params.config
+    return jnp.asarray([config.delay_sigma, config.readout_sigma, config.readout_sigma])
+
+
+def _with_timing(
+    params: TrackerParams,
+    tracker: Tracker,
+    seen: FrameFeatures,
+    found: Registration,
+    motion: gicp.RowMotion,
+    tracked: Bool[Array, ""],
+) -> Tracker:
+    """The tracker with what a frame's registration to its reference says about the times of the rows."""
+    if not params.config.estimate_timing:
+        return tracker
+    target, by = jax.tree.map(
+        lambda ring: ring[tracker.current], (tracker.references, tracker.reference_motions)
+    )
+    # A pose that rests on the motion model says how the camera was thought to move.
+    told = tracked & motion.known & by.known & (found.source != PoseSource.MOTION_MODEL)
+    new = timing_information(*lax.stop_gradient((params, seen, target, found, motion, by)))
+    total = tracker.timing.plus(new, _timing_sigmas(params))
+    total = jax.tree.map(lambda a, b: jnp.where(told, a, b), total, tracker.timing)
+    return eqx.tree_at(lambda t: t.timing, tracker, total)
+
+
+@jax.jit
+def rectified_last(params: TrackerParams, tracker: Tracker) -> FrameFeatures:
+    """Features of the last frame, rectified for others to be registered to.
+
+    Args:
+        params: parameters of tracking.
+        tracker: after that frame.
+    """
+    return _rectified(params, tracker.last, tracker.last_motion)
+
+
+def _rectified(params: TrackerParams, features: FrameFeatures, motion: gicp.RowMotion) -> FrameFeatures:
+    return rectified(features, params.camera, motion) if params.config.estimate_timing else features
 
 
 @eqx.filter_custom_jvp
@@ -268,12 +345,18 @@ def _counted(total: Array, more: Array | int, by_model: Bool[Array, ""], tracked
 
 
 def _push_if(
-    condition: Bool[Array, ""], tracker: Tracker, features: FrameFeatures, T_world_cam: jaxlie.SE3
+    condition: Bool[Array, ""],
+    params: TrackerParams,
+    tracker: Tracker,
+    features: FrameFeatures,
+    motion: gicp.RowMotion,
+    T_world_cam: jaxlie.SE3,
 ) -> Tracker:
-    """The tracker with a new keyframe as its reference, where the condition holds."""
+    """The tracker with a new keyframe as its reference, rectified, where the condition holds."""
 
     def push(tracker: Tracker) -> Tracker:
-        pushed = with_reference(tracker, features, T_world_cam.wxyz_xyz, tracker.num_keyframes)
+        kept = _rectified(params, features, motion)
+        pushed = with_reference(tracker, kept, motion, T_world_cam.wxyz_xyz, tracker.num_keyframes)
         identity = se3.identity(T_world_cam.wxyz_xyz.dtype)
         return eqx.tree_at(
             lambda t: (t.num_keyframes, t.T_reference_cam),
@@ -285,16 +368,21 @@ def _push_if(
 
 
 def _remembered(
-    tracker: Tracker, seen: FrameFeatures, found: Registration, tracked: Array, could_be_keyframe: Array
+    tracker: Tracker,
+    seen: FrameFeatures,
+    motion: gicp.RowMotion,
+    found: Registration,
+    tracked: Array,
+    could_be_keyframe: Array,
 ) -> Tracker:
     """The tracker with a tracked frame as the last one: the next may need it as a keyframe."""
-    last, registration = jax.tree.map(
+    last = jax.tree.map(
         lambda new, old: jnp.where(tracked, new, old),
-        (seen, found),
-        (tracker.last, tracker.last_registration),
+        (seen, motion, found),
+        (tracker.last, tracker.last_motion, tracker.last_registration),
     )
     return eqx.tree_at(
-        lambda t: (t.last, t.last_registration, t.has_last),
+        lambda t: (t.last, t.last_motion, t.last_registration, t.has_last),
         tracker,
-        (last, registration, jnp.where(tracked, could_be_keyframe, tracker.has_last)),
+        (*last, jnp.where(tracked, could_be_keyframe, tracker.has_last)),
     )

@@ -13,12 +13,13 @@ from sfgs_jax.slam.keyframes._loops import loop_pairs
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
-from sfgs_jax.slam.state._tracker import Tracker
+from sfgs_jax.slam.state._tracker import Tracker, reference_at
 
 
 def with_new_keyframes(
     graph: KeyframeGraph,
-    tracker: Tracker,
+    before: Tracker,
+    after: Tracker,
     found: TrackInfo,
     frames: tuple[int, int],
     config: GraphConfig,
@@ -27,19 +28,23 @@ def with_new_keyframes(
 
     Args:
         graph: before.
-        tracker: before the frame.
+        before: tracker before the frame.
+        after: tracker after it; its references are the features of the new keyframes.
         found: what happened to the frame.
         frames: numbers of the newest tracked frame before it, and of the frame itself.
         config: settings.
     """
+    taken = bool(found.new_keyframe)
     if not graph.keyframes:
-        return first_keyframe(graph, found.features, frames[1])
+        return first_keyframe(graph, reference_at(after, after.current), frames[1])
     if bool(found.bridged):
-        reference = int(tracker.reference_keyframes[tracker.current])
-        graph = insert_keyframe(graph, tracker.last, tracker.last_registration, reference, frames[0], config)
-    if bool(found.new_keyframe):
-        reference = int(found.reference)
-        graph = insert_keyframe(graph, found.features, found.registration, reference, frames[1], config)
+        reference = int(before.reference_keyframes[before.current])
+        # The frame's own keyframe came after it.
+        features = reference_at(after, after.current - np.int32(taken))
+        graph = insert_keyframe(graph, features, before.last_registration, reference, frames[0], config)
+    if taken:
+        features, reference = reference_at(after, after.current), int(found.reference)
+        graph = insert_keyframe(graph, features, found.registration, reference, frames[1], config)
     return graph
 
 

@@ -24,7 +24,7 @@ from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
 from sfgs_jax.slam.state import Edge, Keyframe, MapState, SlamState, View
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 

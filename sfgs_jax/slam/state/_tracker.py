@@ -11,10 +11,13 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.gicp import RowMotion
+from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.slam.state._timing_information import TimingInformation
 from sfgs_jax.superfeats.network import Network
 
 
@@ -24,11 +27,14 @@ class TrackerParams(eqx.Module):
     Attributes:
         camera: intrinsics of the frames.
         network: weights of the keypoint network; None where another extractor, or none, is used.
+        timing: times of the camera's rows, as known before the first frame; without effect unless
+            `TrackingConfig.estimate_timing` is on.
         config: settings; static.
     """
 
     camera: Camera
     network: Network | None
+    timing: SensorTiming
     config: TrackingConfig = eqx.field(static=True)
 
 
@@ -42,23 +48,27 @@ class Tracker(eqx.Module):
         references: features of the newest keyframes, stacked along a leading axis of R slots.
         reference_poses: (R, 7) their `T_world_cam` as wxyz_xyz.
         reference_keyframes: (R,) their keyframe numbers, -1 in an empty slot.
+        reference_motions: motions of their rows, by which they were rectified; stacked like the features.
         current: slot of the reference that frames are registered to.
         num_keyframes: keyframes taken so far.
         T_reference_cam: pose of the newest tracked frame in the current reference.
         T_previous_current: motion between the two newest tracked frames.
         motion_seconds: duration of that motion; 0 where it is unknown.
         since_tracked: seconds since the newest tracked frame, up to the newest frame.
-        last: features of the newest tracked frame that could become a keyframe.
+        last: features of the newest tracked frame that could become a keyframe, not rectified.
+        last_motion: motion of its rows.
         last_registration: its registration to the current reference.
         has_last: whether there is such a frame, and it is no keyframe yet.
         lost_in_a_row: frames since the newest tracked frame, all of them lost.
         motion_model_frames: newest frames in a row whose pose rests on the motion model in part.
         motion_model_travel: motion that the model added up to over these, metres or radians, the larger.
+        timing: what the frames said about the times of the rows.
     """
 
     references: FrameFeatures
     reference_poses: Float[Array, "r 7"]
     reference_keyframes: Int[Array, " r"]
+    reference_motions: RowMotion
     current: Int[Array, ""]
     num_keyframes: Int[Array, ""]
     T_reference_cam: jaxlie.SE3
@@ -66,11 +76,13 @@ class Tracker(eqx.Module):
     motion_seconds: Float[Array, ""]
     since_tracked: Float[Array, ""]
     last: FrameFeatures
+    last_motion: RowMotion
     last_registration: Registration
     has_last: Bool[Array, ""]
     lost_in_a_row: Int[Array, ""]
     motion_model_frames: Int[Array, ""]
     motion_model_travel: Float[Array, ""]
+    timing: TimingInformation
 
     @property
     def T_world_cam(self) -> jaxlie.SE3:
@@ -102,13 +114,18 @@ def empty_tracker(features: FrameFeatures, registration: Registration, num_refer
     """
     # Made on the host: there, no shape needs a program of its own.
     zeros = jax.tree.map(lambda x: jax.device_put(np.zeros(x.shape, x.dtype)), (features, registration))
-    ring = jax.tree.map(lambda x: jax.device_put(np.zeros((num_references, *x.shape), x.dtype)), features)
     dtype = features.cloud.levels[0].surface.dtype
+    timing = SensorTiming(*(_scalar(0, dtype) for _ in range(3)))
+    still = RowMotion(jax.device_put(np.zeros(6, dtype)), timing, _scalar(False, bool))
+    ring = jax.tree.map(
+        lambda x: jax.device_put(np.zeros((num_references, *x.shape), x.dtype)), (features, still)
+    )
     identity = np.asarray([1, 0, 0, 0, 0, 0, 0], dtype)
     return Tracker(
-        references=ring,
+        references=ring[0],
         reference_poses=jax.device_put(np.tile(identity, (num_references, 1))),
         reference_keyframes=jax.device_put(np.full(num_references, -1, np.int32)),
+        reference_motions=ring[1],
         current=_scalar(0, np.int32),
         num_keyframes=_scalar(0, np.int32),
         T_reference_cam=jaxlie.SE3(jax.device_put(identity)),
@@ -116,11 +133,18 @@ def empty_tracker(features: FrameFeatures, registration: Registration, num_refer
         motion_seconds=_scalar(0, dtype),
         since_tracked=_scalar(0, dtype),
         last=zeros[0],
+        last_motion=still,
         last_registration=zeros[1],
         has_last=_scalar(False, bool),
         lost_in_a_row=_scalar(0, np.int32),
         motion_model_frames=_scalar(0, np.int32),
         motion_model_travel=_scalar(0, dtype),
+        timing=TimingInformation(
+            jax.device_put(np.zeros((3, 3), dtype)),
+            jax.device_put(np.zeros(3, dtype)),
+            _scalar(0, dtype),
+            _scalar(0, dtype),
+        ),
     )
 
 
@@ -128,32 +152,46 @@ def _scalar(value: float | int | bool, kind: np.dtype | type) -> Array:
     return jax.device_put(np.asarray(value, kind))
 
 
+@partial(jax.jit, inline=True)
 def reference_at(tracker: Tracker, slot: Int[Array, ""]) -> FrameFeatures:
-    """Features in a slot of the ring."""
+    """Features in a slot of the ring.
+
+    Args:
+        tracker: with a keyframe there.
+        slot: of the ring; -1 is the one before the first, and so on.
+    """
+    slot = slot % tracker.reference_keyframes.shape[0]
     return jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, slot, keepdims=False), tracker.references)
 
 
 def with_reference(
-    tracker: Tracker, features: FrameFeatures, pose: Float[Array, "7"], keyframe: Int[Array, ""]
+    tracker: Tracker,
+    features: FrameFeatures,
+    motion: RowMotion,
+    pose: Float[Array, "7"],
+    keyframe: Int[Array, ""],
 ) -> Tracker:
     """The tracker with a keyframe as its current reference, in the oldest slot.
 
     Args:
         tracker: before.
-        features: of the keyframe.
+        features: of the keyframe, rectified.
+        motion: of its rows, by which it was rectified.
         pose: its `T_world_cam` as wxyz_xyz.
         keyframe: its number.
     """
     slot = (tracker.current + 1) % tracker.reference_keyframes.shape[0]
+    new = (features, motion, pose, keyframe)
+    ring = (
+        tracker.references,
+        tracker.reference_motions,
+        tracker.reference_poses,
+        tracker.reference_keyframes,
+    )
     return eqx.tree_at(
-        lambda t: (t.references, t.reference_poses, t.reference_keyframes, t.current),
+        lambda t: (t.references, t.reference_motions, t.reference_poses, t.reference_keyframes, t.current),
         tracker,
-        (
-            jax.tree.map(lambda ring, x: ring.at[slot].set(x), tracker.references, features),
-            tracker.reference_poses.at[slot].set(pose),
-            tracker.reference_keyframes.at[slot].set(keyframe),
-            slot,
-        ),
+        (*jax.tree.map(lambda ring, x: ring.at[slot].set(x), ring, new), slot),
     )
 
 

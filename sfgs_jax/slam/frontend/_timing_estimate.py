@@ -1,0 +1,174 @@
+"""Estimate of the times of the camera's rows, while tracking.
+
+Where the times are wrong, a registration keeps residuals that no pose removes: rows bend against each other,
+and keypoints and surface tell of different motions. So each registration has its normal equations of the pose
+and the times, with the pose eliminated. The times are the same in all frames, so the sum of these equations
+is all there is to keep: an information filter.
+
+The reference was rectified by the times as they were thought to be then, and moved in its own way. Both
+enter: a delay, for example, shows where the camera does not move like it did in the reference.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jax import lax
+from jax.lax import Precision
+from jaxtyping import Array, Float
+
+from sfgs_jax import gicp
+from sfgs_jax.arrays import dot
+from sfgs_jax.geometry import kernel_weight, reprojection_residuals, se3
+from sfgs_jax.sensors import carried, row_places, velocities
+from sfgs_jax.slam.frontend._rectification import with_depth_in_time
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.slam.state._timing_information import TimingInformation
+from sfgs_jax.slam.state._tracker import TrackerParams
+
+_DECIMATION = 2
+"""Every second row and column of the points aligned: neighbours share most of their pixels."""
+
+
+class _Rows(eqx.Module):
+    """Whitened residuals and their derivatives.
+
+    Attributes:
+        residual: (N,) at the pose and the times found.
+        pose: (6, N) by the tangent of T_target_source.
+        source: (3, N) by the times, through the source.
+        target: (3, N) by the times, through the rectification of the target.
+        weight: (N,) of independent measurements.
+    """
+
+    residual: Float[Array, " N"]
+    pose: Float[Array, "6 N"]
+    source: Float[Array, "3 N"]
+    target: Float[Array, "3 N"]
+    weight: Float[Array, " N"]
+
+
+def timing_information(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    found: Registration,
+    moving: gicp.RowMotion,
+    target_moving: gicp.RowMotion,
+) -> TimingInformation:
+    """What a registration says about the times, whatever the pose.
+
+    Args:
+        params: parameters of tracking.
+        source: the frame that was registered, as it was read.
+        target: the reference, rectified.
+        found: the registration.
+        moving: motion of the source, and the times that were used for it.
+        target_moving: the same of the target, when it was rectified.
+    """
+    source = FrameFeatures(source.cloud, with_depth_in_time(source, params.camera, moving))
+    given = (params, source, target, found, moving, target_moving)
+    rows = [_keypoint_rows(*given)] if params.config.features.kind != "none" else []
+    rows += [_surface_rows(*given)] if params.config.use_surface else []
+    all_rows = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *rows)
+    start, used = params.timing.vector, (moving.timing.vector, target_moving.timing.vector)
+    # The residual is linear in the times: this is it for those that the estimate started from.
+    residual = all_rows.residual + (start - used[0]) @ all_rows.source + (start - used[1]) @ all_rows.target
+    columns = jnp.concatenate([all_rows.pose, all_rows.source + all_rows.target, residual[None]])
+    total = jnp.matmul(columns * all_rows.weight[None], columns.T, precision=Precision.HIGHEST)
+    # Scaled before it is factorised, for float32; a pose that nothing fixes takes nothing away.
+    scale = lax.rsqrt(jnp.maximum(jnp.diagonal(total), 1e-12))
+    total = total * scale[:, None] * scale[None, :]
+    pose = total[:6, :6] + 1e-5 * jnp.eye(6, dtype=total.dtype)
+    taken = jax.scipy.linalg.solve(pose, total[:6, 6:], assume_a="pos")
+    left = total[6:, 6:] - jnp.matmul(total[6:, :6], taken, precision=Precision.HIGHEST)
+    left = left / (scale[6:, None] * scale[None, 6:])
+    zero = jnp.zeros((), left.dtype)
+    return TimingInformation(left[:3, :3], -left[:3, 3], zero, zero)
+
+
+def _surface_rows(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    found: Registration,
+    moving: gicp.RowMotion,
+    target_moving: gicp.RowMotion,
+) -> _Rows:
+    """Distances along the normals, of a sample of the finest level."""
+    T, config = found.T_target_source, params.config.gicp
+    clouds = source.cloud.levels, target.cloud.levels
+    problem = gicp.level_problem(*clouds, None, 0, config, decimation=_DECIMATION)
+    problem = problem.with_moving_rows(moving)
+    pairs, points = problem.correspondences(T), problem.source.points
+    mean = problem.source.normals + pairs.normals
+    normals = mean * lax.rsqrt(jnp.where(pairs.valid, dot(mean, mean), 1))[None]
+    residual = jnp.where(pairs.valid, dot(points - pairs.points, normals), 0)
+    weight = problem.robust_weights(pairs)
+    excess = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight * pairs.variance), 1e-12)
+
+    def by_times(at: Float[Array, "3 N"], pixels: Float[Array, "N 2"], twist: Float[Array, "6"]) -> Array:
+        speed = dot(velocities(at, twist), normals)
+        share = row_places(pixels[:, 1], camera.height)
+        return jnp.stack([speed, jnp.zeros_like(speed), speed * share])
+
+    camera = clouds[0][0].camera
+    twist = _in_source(target_moving.twist, T)
+    seen = camera.project(se3.transform(T, pairs.points.T))
+    return _Rows(
+        residual=residual,
+        pose=jnp.concatenate([normals, jnp.cross(points, normals, axis=0)]),
+        source=by_times(points, camera.project(points.T), moving.twist),
+        target=-by_times(pairs.points, seen, twist),
+        weight=weight / (problem.redundancy * jnp.maximum(excess, 1)),
+    )
+
+
+def _keypoint_rows(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    found: Registration,
+    moving: gicp.RowMotion,
+    target_moving: gicp.RowMotion,
+) -> _Rows:
+    """Reprojection errors of the matches that the motion explains."""
+    T, matched, camera, config = found.T_target_source, found.matched, params.camera, params.config.features
+    slots, pixels = matched.index, source.keypoints.features.keypoints
+    points = se3.transform(se3.inverse(T), target.keypoints.points[slots]).T
+    points = jnp.where(matched.inliers[None], points, jnp.asarray([[0], [0], [1]], points.dtype))
+    times = moving.timing.colour_times(row_places(pixels[:, 1], camera.height))
+    at = reprojection_residuals(
+        camera,
+        carried(points, moving.twist, -times),
+        pixels.T,
+        source.keypoints.depth,
+        sigma=config.pixel_sigma,
+        inverse_depth_sigma=config.inverse_depth_sigma,
+    )
+    square = jnp.sum(at.residual**2, axis=0)
+    robust = kernel_weight(square, "geman_mcclure", config.kernel_width)
+    weight = jnp.where(matched.inliers & at.has_image, robust, 0)
+    excess = jnp.sum(weight * square) / jnp.maximum(3 * jnp.sum(weight), 1)
+
+    def by_times(pixels: Float[Array, "k 2"], twist: Float[Array, "6"]) -> Array:
+        share = row_places(pixels[:, 1], camera.height)
+        speeds = velocities(points, twist) * share[None]
+        speed = jnp.sum(at.point_jacobian * speeds[None], axis=1).reshape(-1)
+        return jnp.stack([jnp.zeros_like(speed), speed, jnp.zeros_like(speed)])
+
+    twist = _in_source(target_moving.twist, T)
+    return _Rows(
+        residual=at.residual.reshape(-1),
+        pose=jnp.moveaxis(at.pose_jacobian, 1, 0).reshape(6, -1),
+        source=-by_times(pixels, moving.twist),
+        target=by_times(target.keypoints.features.keypoints[slots], twist),
+        weight=jnp.tile(weight / (config.correlation * jnp.maximum(excess, 1)), 3),
+    )
+
+
+def _in_source(twist: Float[Array, "6"], T_target_source: jaxlie.SE3) -> Float[Array, "6"]:
+    """A twist of the target's camera in source coordinates."""
+    adjoint = se3.adjoint(se3.inverse(T_target_source))
+    return jnp.matmul(adjoint, twist, precision=Precision.HIGHEST)

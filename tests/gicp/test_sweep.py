@@ -1,0 +1,77 @@
+"""Alignment of a depth image whose rows were exposed one after the other."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax import gicp
+from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets import KinectFaults, SyntheticRecording
+from sfgs_jax.geometry import se3
+from sfgs_jax.sensors import SensorTiming
+
+FAULTS = KinectFaults(depth_delay=0.012, depth_readout=0.025)
+SETTINGS = gicp.GicpConfig(levels=2, strides=(1, 1), max_iterations=(10, 10))
+NUMBER = 20
+INTERVAL = 1 / 30
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The source read row by row, the target as a global shutter sees it, and the true motions."""
+    faulty = SyntheticRecording(num_frames=60, width=128, height=96, faults=FAULTS)
+    ideal = SyntheticRecording(num_frames=60, width=128, height=96)
+    source = gicp.prepare(faulty[NUMBER].depth, faulty.camera, config=SETTINGS)
+    target = gicp.prepare(ideal[NUMBER - 2].depth, ideal.camera, config=SETTINGS)
+    poses = np.linalg.inv(ideal.ground_truth.poses[NUMBER - 2]) @ ideal.ground_truth.poses
+    before, truth = (se3.from_matrix(poses[i]) for i in (NUMBER - 1, NUMBER))
+    return source, target, before, truth
+
+
+def sweep_of(before, seconds=INTERVAL, delay=FAULTS.depth_delay):
+    timing = SensorTiming(delay, 0.0, FAULTS.depth_readout)
+    return gicp.Sweep(before, jnp.asarray(seconds, jnp.float32), timing)
+
+
+def off(found, truth):
+    moved = se3.log(se3.compose(se3.inverse(truth), found.T_target_source))
+    return float(jnp.linalg.norm(moved[:3]))
+
+
+def test_rows_that_move_give_the_pose_at_the_time_of_the_frame(scene):
+    source, target, before, truth = scene
+    still = gicp.align(source, target, before, config=SETTINGS)
+    swept = gicp.align(source, target, before, sweep=sweep_of(before), config=SETTINGS)
+    assert off(still, truth) > 0.004
+    assert off(swept, truth) < 0.35 * off(still, truth)
+    assert float(swept.rmse) < float(still.rmse)
+
+
+def test_a_motion_that_is_not_known_moves_nothing(scene):
+    source, target, before, _ = scene
+    still = gicp.align(source, target, before, config=SETTINGS)
+    swept = gicp.align(source, target, before, sweep=sweep_of(before, seconds=0.0), config=SETTINGS)
+    np.testing.assert_allclose(swept.T_target_source.wxyz_xyz, still.T_target_source.wxyz_xyz, atol=1e-5)
+
+
+def test_the_pose_has_a_derivative_by_the_times(scene):
+    source, target, before, _ = scene
+
+    def position(delay):
+        found = gicp.align(source, target, before, sweep=sweep_of(before, delay=delay), config=SETTINGS)
+        return found.T_target_source.wxyz_xyz[4:]
+
+    delay = jnp.asarray(FAULTS.depth_delay, jnp.float32)
+    rate = jax.jacfwd(position)(delay)
+    # A later exposure of depth means an earlier frame: the position goes back by about the velocity.
+    step = 0.003
+    measured = (position(delay + step) - position(delay - step)) / (2 * step)
+    assert float(jnp.dot(rate, measured)) > 0.9 * float(jnp.linalg.norm(rate) * jnp.linalg.norm(measured))
+
+
+def test_points_without_rows_have_no_sweep(scene):
+    _, target, before, _ = scene
+    points = gicp.prepare_points(np.random.default_rng(0).uniform(-1, 1, (500, 3)).astype(np.float32))
+    with pytest.raises(InputError, match="rows"):
+        gicp.align(points, target, before, sweep=sweep_of(before), config=SETTINGS)
