@@ -65,7 +65,7 @@ def test_a_state_is_refused_by_name(room, frames, busy, tmp_path):
     slam.save(state, tmp_path, num_frames=1)
     tensors, metadata = read_tensors(tmp_path / STATE_FILE)
     assert ".tracker.num_keyframes" in tensors
-    assert metadata["version"] == "2"
+    assert metadata["version"] == "3"
 
     def refused(changed, message, **facts):
         write_tensors(tmp_path / STATE_FILE, changed, metadata | facts)
@@ -76,7 +76,7 @@ def test_a_state_is_refused_by_name(room, frames, busy, tmp_path):
     refused(renamed, r"unknown array \.tracker\.count|lacks array \.tracker\.num_keyframes")
     wrong = tensors | {".tracker.num_keyframes": np.asarray(1.0)}
     refused(wrong, r"holds \.tracker\.num_keyframes as float64")
-    refused(tensors, "of format 1", version="1")
+    refused(tensors, "of format 2", version="2")
     (tmp_path / STATE_FILE).unlink()
     (tmp_path / "state.arrays").write_bytes(b"{}")
     with pytest.raises(InputError, match="earlier version"):
