@@ -77,8 +77,8 @@ class TrackingConfig:
     num_references: int = 2
     """Keyframes that the tracker holds. Frames are registered to the newest of them."""
     estimate_timing: bool = False
-    """Whether the rows of an image have times of their own, which are estimated while tracking: rolling
-    shutters, and depth that is not exposed together with colour. Rows then move with the camera."""
+    """Whether each row of an image moves with the camera. The times of the rows, of rolling shutters and of
+    depth that is late, are estimated while tracking."""
     delay_sigma: float = 0.01
     """Standard deviation of the time from colour's exposure to depth's, as known before the first frame,
     seconds. The two streams of most cameras are at most half a frame apart."""
