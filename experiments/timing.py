@@ -2,9 +2,9 @@
 
     python -m experiments.timing [--recordings redkitchen fr1_rpy kinect] [--frames 600]
 
-Each recording is tracked three times, with the graph of keyframes and without a map: as if all rows were
-exposed at once; with the times estimated from there; and with them known from that run. `kinect` is the
-synthetic room seen by `datasets.KINECT_V1`, whose true times are 15, 30 and 25 ms.
+Each recording is tracked three times, with the graph of keyframes and without a map. At first all rows count
+as exposed at once. Then the times are estimated from there. At last they are known from that run. `kinect` is
+the synthetic room seen by `datasets.KINECT_V1`, with true times of 15, 30 and 25 ms.
 """
 
 import argparse
@@ -21,14 +21,16 @@ from sfgs_jax.slam import SlamConfig, SlamState, estimated_timing, follow, init
 RECORDINGS = {**SOURCES, "kinect": "synthetic:frames=120,kinect=1"}
 
 
-def tracked(recording: Recording, num_frames: int, *, estimate: bool, timing: SensorTiming) -> SlamState:
+def tracked(
+    recording: Recording, num_frames: int, *, estimate: bool, timing: SensorTiming | None
+) -> SlamState:
     """The state after the first frames.
 
     Args:
         recording: where they are from.
         num_frames: how many, at most.
         estimate: whether the times are estimated.
-        timing: the times to start from.
+        timing: the times to start from; None for all rows at once.
     """
     config = SlamConfig()
     config = replace(config, tracking=replace(config.tracking, estimate_timing=estimate))
@@ -68,7 +70,7 @@ def main() -> None:
     )
     print("|---|---|---|---|---|---|---|---|---|---|")
     for name in options.recordings:
-        recording, timing = open_recording(RECORDINGS[name]), SensorTiming()
+        recording, timing = open_recording(RECORDINGS[name]), None
         for how, estimate in (("at once", False), ("estimated", True), ("known before", True)):
             state = tracked(recording, options.frames, estimate=estimate, timing=timing)
             print_row(name, how, recording, state)

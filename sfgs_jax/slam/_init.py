@@ -14,8 +14,10 @@ def init(camera: Camera, config: SlamConfig | None = None, timing: SensorTiming 
         camera: intrinsics of the frames; their size is fixed for the run.
         config: settings.
         timing: times of the camera's rows as known before the first frame, for example from
-            `estimated_timing` after an earlier run of the same camera. They matter where
-            `TrackingConfig.estimate_timing` is on; all rows at once if not given.
+            `estimated_timing` after an earlier run of the same camera; all rows at once if not given.
+
+    Raises:
+        InputError: times are given while `TrackingConfig.estimate_timing` is off.
     """
     config = config or SlamConfig()
     params = tracker_params(camera, config.tracking, timing)

@@ -32,7 +32,7 @@ class Line:
         return 20
 
     def __getitem__(self, index: int) -> Frame:
-        raise NotImplementedError
+        raise AssertionError("Pairs are chosen by the poses; no frame is read.")
 
 
 def poses() -> np.ndarray:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from sfgs_jax import slam
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import Trajectory, se3
+from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.superfeats import mean_grey
 
 FAULTS = KinectFaults(depth_delay=0.012, colour_readout=0.03, depth_readout=0.025)
@@ -56,6 +58,11 @@ def test_the_times_are_found_with_their_uncertainty(tracked):
         sigmas = np.sqrt(np.diag(covariance))
         np.testing.assert_array_less(abs(off), tolerance)
         np.testing.assert_array_less(abs(off), 4 * sigmas)
+
+
+def test_times_that_would_have_no_effect_are_refused(recording, tracking):
+    with pytest.raises(InputError, match="estimate_timing"):
+        slam.tracker_params(recording.camera, tracking, SensorTiming(depth_delay=0.01))
 
 
 def test_without_the_estimate_the_times_stay_what_they_were(tracked):

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sfgs_jax import gicp
+from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Camera, Frame, clean_depth
 from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
@@ -29,7 +30,14 @@ def tracker_params(
         camera: intrinsics of the frames.
         config: settings.
         timing: times of the camera's rows as known before the first frame; all at once if not given.
+
+    Raises:
+        InputError: times are given that the settings leave without effect.
     """
+    if timing is not None and not config.estimate_timing:
+        raise InputError(
+            "Times of the rows have no effect without estimate_timing: turn it on, or give none."
+        )
     network = load_weights() if config.features.kind == "superfeats" else None
     return TrackerParams(camera, network, timing or SensorTiming(), config)
 

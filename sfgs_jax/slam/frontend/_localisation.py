@@ -206,7 +206,7 @@ def _place(
 ) -> tuple[Tracker, TrackInfo]:
     before = tracker.T_world_cam
     # The motion by which the reference was rectified is not kept with keyframes.
-    unknown = eqx.tree_at(lambda m: m.known, tracker.last_motion, jnp.asarray(False))
+    unknown = jax.tree.map(jnp.zeros_like, tracker.last_motion)
     tracker = with_reference(tracker, reference, unknown, jnp.asarray(pose), keyframe)
     count = jnp.maximum(tracker.num_keyframes, keyframe + 1)
     tracker = eqx.tree_at(lambda t: t.num_keyframes, tracker, count)

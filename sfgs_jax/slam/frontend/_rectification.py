@@ -99,7 +99,7 @@ def _rectified_keypoints(keypoints: Keypoints, camera: Camera, moving: gicp.RowM
 def _rectified_level(level: gicp.OrganisedLevel, moving: gicp.RowMotion) -> gicp.OrganisedLevel:
     """Surface of a level on the pixels of the camera of the frame's time.
 
-    Each pixel takes the surface of the pixel that moves to it, found by the flow at the pixel itself: flow
+    Each pixel takes the surface of the pixel that moves to it, found by the flow at the pixel itself. Flow
     is smooth but for depth edges.
     """
     camera = level.camera

@@ -1,7 +1,7 @@
 """Estimate of the times of the camera's rows, while tracking.
 
-Where the times are wrong, a registration keeps residuals that no pose removes: rows bend against each other,
-and keypoints and surface tell of different motions. So each registration has its normal equations of the pose
+If the times are wrong, a registration keeps residuals that no pose removes. Rows bend against each other, and
+keypoints and surface tell of different motions. So each registration has its normal equations of the pose
 and the times, with the pose eliminated. The times are the same in all frames, so the sum of these equations
 is all there is to keep: an information filter.
 
@@ -9,10 +9,11 @@ The reference was rectified by the times as they were thought to be then, and mo
 enter: a delay, for example, shows where the camera does not move like it did in the reference.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxlie
 from jax import lax
 from jax.lax import Precision
 from jaxtyping import Array, Float
@@ -24,11 +25,30 @@ from sfgs_jax.sensors import carried, row_places, velocities
 from sfgs_jax.slam.frontend._rectification import with_depth_in_time
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import Registration
-from sfgs_jax.slam.state._timing_information import TimingInformation
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _DECIMATION = 2
 """Every second row and column of the points aligned: neighbours share most of their pixels."""
+
+
+class _Registered(NamedTuple):
+    """A registration and what it was found from.
+
+    Attributes:
+        params: parameters of tracking.
+        source: the frame, with the depth of its keypoints in time.
+        target: the reference, rectified.
+        found: the registration.
+        moving: motion of the source, and the times that were used for it.
+        twist: the target's motion per second when it was rectified, in source coordinates.
+    """
+
+    params: TrackerParams
+    source: FrameFeatures
+    target: FrameFeatures
+    found: Registration
+    moving: gicp.RowMotion
+    twist: Float[Array, "6"]
 
 
 class _Rows(eqx.Module):
@@ -49,15 +69,17 @@ class _Rows(eqx.Module):
     weight: Float[Array, " N"]
 
 
-def timing_information(
+def timing_equations(
     params: TrackerParams,
     source: FrameFeatures,
     target: FrameFeatures,
     found: Registration,
     moving: gicp.RowMotion,
     target_moving: gicp.RowMotion,
-) -> TimingInformation:
-    """What a registration says about the times, whatever the pose.
+) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
+    """Normal equations of the times after a registration, with the pose eliminated.
+
+    The unknown is the difference of the times from those that the estimate started from.
 
     Args:
         params: parameters of tracking.
@@ -66,11 +88,16 @@ def timing_information(
         found: the registration.
         moving: motion of the source, and the times that were used for it.
         target_moving: the same of the target, when it was rectified.
+
+    Returns:
+        Information, 1 / s², and right-hand side, 1 / s.
     """
     source = FrameFeatures(source.cloud, with_depth_in_time(source, params.camera, moving))
-    given = (params, source, target, found, moving, target_moving)
-    rows = [_keypoint_rows(*given)] if params.config.features.kind != "none" else []
-    rows += [_surface_rows(*given)] if params.config.use_surface else []
+    adjoint = se3.adjoint(se3.inverse(found.T_target_source))
+    twist = jnp.matmul(adjoint, target_moving.twist, precision=Precision.HIGHEST)
+    registered = _Registered(params, source, target, found, moving, twist)
+    rows = [_keypoint_rows(registered)] if params.config.features.kind != "none" else []
+    rows += [_surface_rows(registered)] if params.config.use_surface else []
     all_rows = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *rows)
     start, used = params.timing.vector, (moving.timing.vector, target_moving.timing.vector)
     # The residual is linear in the times: this is it for those that the estimate started from.
@@ -84,19 +111,12 @@ def timing_information(
     taken = jax.scipy.linalg.solve(pose, total[:6, 6:], assume_a="pos")
     left = total[6:, 6:] - jnp.matmul(total[6:, :6], taken, precision=Precision.HIGHEST)
     left = left / (scale[6:, None] * scale[None, 6:])
-    zero = jnp.zeros((), left.dtype)
-    return TimingInformation(left[:3, :3], -left[:3, 3], zero, zero)
+    return left[:3, :3], -left[:3, 3]
 
 
-def _surface_rows(
-    params: TrackerParams,
-    source: FrameFeatures,
-    target: FrameFeatures,
-    found: Registration,
-    moving: gicp.RowMotion,
-    target_moving: gicp.RowMotion,
-) -> _Rows:
+def _surface_rows(registered: _Registered) -> _Rows:
     """Distances along the normals, of a sample of the finest level."""
+    params, source, target, found, moving, twist = registered
     T, config = found.T_target_source, params.config.gicp
     clouds = source.cloud.levels, target.cloud.levels
     problem = gicp.level_problem(*clouds, None, 0, config, decimation=_DECIMATION)
@@ -114,7 +134,6 @@ def _surface_rows(
         return jnp.stack([speed, jnp.zeros_like(speed), speed * share])
 
     camera = clouds[0][0].camera
-    twist = _in_source(target_moving.twist, T)
     seen = camera.project(se3.transform(T, pairs.points.T))
     return _Rows(
         residual=residual,
@@ -125,15 +144,9 @@ def _surface_rows(
     )
 
 
-def _keypoint_rows(
-    params: TrackerParams,
-    source: FrameFeatures,
-    target: FrameFeatures,
-    found: Registration,
-    moving: gicp.RowMotion,
-    target_moving: gicp.RowMotion,
-) -> _Rows:
+def _keypoint_rows(registered: _Registered) -> _Rows:
     """Reprojection errors of the matches that the motion explains."""
+    params, source, target, found, moving, twist = registered
     T, matched, camera, config = found.T_target_source, found.matched, params.camera, params.config.features
     slots, pixels = matched.index, source.keypoints.features.keypoints
     points = se3.transform(se3.inverse(T), target.keypoints.points[slots]).T
@@ -158,7 +171,6 @@ def _keypoint_rows(
         speed = jnp.sum(at.point_jacobian * speeds[None], axis=1).reshape(-1)
         return jnp.stack([jnp.zeros_like(speed), speed, jnp.zeros_like(speed)])
 
-    twist = _in_source(target_moving.twist, T)
     return _Rows(
         residual=at.residual.reshape(-1),
         pose=jnp.moveaxis(at.pose_jacobian, 1, 0).reshape(6, -1),
@@ -166,9 +178,3 @@ def _keypoint_rows(
         target=by_times(target.keypoints.features.keypoints[slots], twist),
         weight=jnp.tile(weight / (config.correlation * jnp.maximum(excess, 1)), 3),
     )
-
-
-def _in_source(twist: Float[Array, "6"], T_target_source: jaxlie.SE3) -> Float[Array, "6"]:
-    """A twist of the target's camera in source coordinates."""
-    adjoint = se3.adjoint(se3.inverse(T_target_source))
-    return jnp.matmul(adjoint, twist, precision=Precision.HIGHEST)

@@ -14,7 +14,7 @@ from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._frame_features import feature_shapes, frame_features
 from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, register
 from sfgs_jax.slam.frontend._rectification import rectified
-from sfgs_jax.slam.frontend._timing_estimate import timing_information
+from sfgs_jax.slam.frontend._timing_estimate import timing_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 from sfgs_jax.slam.state._tracker import (
@@ -137,6 +137,7 @@ def settle(
     new_keyframe = could_be_keyframe & (is_first | needs_keyframe(found, params.config))
     T = jnp.where(tracked & ~is_first, found.T_target_source.wxyz_xyz, tracker.T_reference_cam.wxyz_xyz)
     sweep = _sweep(params, tracker, tracker.T_reference_cam)
+    # Without an estimate no motion is ever known, that of the last frame neither.
     motion = tracker.last_motion if sweep is None else sweep.at(jaxlie.SE3(T))
     tracker = _with_timing(params, tracker, seen, found, motion, tracked & ~is_first)
     tracker = _moved(tracker, before, jaxlie.SE3(T), source, relocalised)
@@ -253,8 +254,8 @@ def _with_timing(
     )
     # A pose that rests on the motion model says how the camera was thought to move.
     told = tracked & motion.known & by.known & (found.source != PoseSource.MOTION_MODEL)
-    new = timing_information(*lax.stop_gradient((params, seen, target, found, motion, by)))
-    total = tracker.timing.plus(new, _timing_sigmas(params))
+    new = timing_equations(*lax.stop_gradient((params, seen, target, found, motion, by)))
+    total = tracker.timing.plus(*new, _timing_sigmas(params))
     total = jax.tree.map(lambda a, b: jnp.where(told, a, b), total, tracker.timing)
     return eqx.tree_at(lambda t: t.timing, tracker, total)
 

@@ -1,4 +1,4 @@
-"""What the frames so far say about the times of the camera's rows."""
+"""Sum of what the frames so far say about the times of the camera's rows."""
 
 import equinox as eqx
 import jax
@@ -46,23 +46,26 @@ class TimingInformation(eqx.Module):
         scaled = self._scaled(sigmas, jnp.maximum(excess, 1))
         return sigmas[:, None] * jnp.linalg.inv(scaled) * sigmas[None]
 
-    def plus(self, new: "TimingInformation", sigmas: Float[Array, "3"]) -> "TimingInformation":
+    def plus(
+        self, information: Float[Array, "3 3"], vector: Float[Array, "3"], sigmas: Float[Array, "3"]
+    ) -> "TimingInformation":
         """The sum with a registration's equations.
 
         Args:
-            new: equations of one registration.
+            information: (3, 3) of one registration, 1 / s².
+            vector: (3,) its right-hand side, 1 / s.
             sigmas: (3,) standard deviations of the prior, seconds.
         """
         scale = sigmas[:, None] * sigmas[None]
-        told = new.information * scale
-        off = sigmas * new.vector - jnp.matmul(
+        told = information * scale
+        off = sigmas * vector - jnp.matmul(
             told, self._difference(sigmas) / sigmas, precision=Precision.HIGHEST
         )
         inverse = jnp.linalg.inv(told + jnp.eye(3, dtype=told.dtype))
         surprise = jnp.matmul(off, jnp.matmul(inverse, off, precision=Precision.HIGHEST))
         return TimingInformation(
-            self.information + new.information,
-            self.vector + new.vector,
+            self.information + information,
+            self.vector + vector,
             self.chi_square + surprise,
             self.expected + jnp.sum(inverse * told),
         )

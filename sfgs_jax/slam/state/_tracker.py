@@ -27,7 +27,7 @@ class TrackerParams(eqx.Module):
     Attributes:
         camera: intrinsics of the frames.
         network: weights of the keypoint network; None where another extractor, or none, is used.
-        timing: times of the camera's rows, as known before the first frame; without effect unless
+        timing: times of the camera's rows, as known before the first frame; used where
             `TrackingConfig.estimate_timing` is on.
         config: settings; static.
     """
