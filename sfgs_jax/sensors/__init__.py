@@ -1,5 +1,9 @@
-"""Models of what a camera does to its images: the lens, and the times of the rows."""
+"""Models of what a camera does to its images: the lens, the distortion of depth, the times of the rows."""
 
+from sfgs_jax.sensors._depth_correction import DEPTH_GRID as DEPTH_GRID
+from sfgs_jax.sensors._depth_correction import DepthCorrection as DepthCorrection
+from sfgs_jax.sensors._depth_correction import corrected_depth as corrected_depth
+from sfgs_jax.sensors._depth_correction import grid_shares as grid_shares
 from sfgs_jax.sensors._lens import Undistortion as Undistortion
 from sfgs_jax.sensors._timing import SensorTiming as SensorTiming
 from sfgs_jax.sensors._timing import carried as carried

@@ -22,6 +22,7 @@ from sfgs_jax.slam.frontend import track as track
 from sfgs_jax.slam.frontend import tracker_params as tracker_params
 from sfgs_jax.slam.keyframes import Window as Window
 from sfgs_jax.slam.keyframes import adjust as adjust
+from sfgs_jax.slam.keyframes import estimated_depth as estimated_depth
 from sfgs_jax.slam.keyframes import window_of as window_of
 from sfgs_jax.slam.mapping import MapParams as MapParams
 from sfgs_jax.slam.mapping import map_step as map_step

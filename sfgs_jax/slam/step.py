@@ -12,7 +12,7 @@ import jaxlie
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Frame, se3
-from sfgs_jax.slam.frontend import TrackInfo, find_frame
+from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth, with_depth_offsets
 from sfgs_jax.slam.keyframes import advance_graph, with_new_keyframes
 from sfgs_jax.slam.mapping import map_frame, view_is_due, view_of
 from sfgs_jax.slam.state import (
@@ -94,19 +94,22 @@ def follow(
 
     with stages("graph"):
         config, frames = state.config.graph, (before.log.newest, number)
-        graph = with_new_keyframes(before.graph, before.tracker, tracker, found, frames, config)
+        params = state.params
+        graph = with_new_keyframes(params, before.graph, before.tracker, tracker, found, frames, config)
         grown = len(graph.keyframes) > len(before.graph.keyframes)
-        graph, closed = advance_graph(state.params, graph, config, grown=grown)
+        graph, closed = advance_graph(params, graph, config, grown=grown)
         if graph.poses is not before.graph.poses:
             tracker = with_graph_poses(tracker, graph)
-        state = replace(state, graph=graph, tracker=tracker)
+        if graph.offsets is not before.graph.offsets:
+            params, tracker = with_depth_offsets(params, tracker, graph.offsets)
+        state = replace(state, graph=graph, tracker=tracker, params=params)
     keyframe, T_keyframe_cam = _place_in_graph(state, found, info)
     log = state.log.with_frame(float(frame.timestamp), number, keyframe, T_keyframe_cam)
     view, recent = None, [k.frame for k in graph.keyframes[-2:]]
     interval = state.config.mapping.view_interval
     if view_is_due(number, state.last_view, recent, interval, new_keyframe=info.new_keyframe):
         factor = mapping_factor(state.camera, state.config.mapping)
-        view = view_of(frame, factor, keyframe, T_keyframe_cam, number)
+        view = view_of(with_corrected_depth(params, frame), factor, keyframe, T_keyframe_cam, number)
     state = replace(state, log=log, last_view=state.last_view if view is None else number)
     info = info._replace(T_world_cam=state.T_world_cam, new_view=view is not None, loop_closed=closed)
     return Followed(state, info, view)

@@ -44,7 +44,9 @@ def drifted(room, config, circle):
     for i in range(COUNT):
         poses.append(np.asarray(T.wxyz_xyz))
         keyframes.append(
-            Keyframe(features, np.full(4, -1), 10 * i, max(i - 1, 0), np.asarray(tracked.wxyz_xyz))
+            Keyframe(
+                features, np.full(4, -1), 10 * i, max(i - 1, 0), np.asarray(tracked.wxyz_xyz), np.zeros(0)
+            )
         )
         if i + 1 < COUNT:
             tracked = se3.compose(se3.from_matrix(np.linalg.inv(circle[i]) @ circle[i + 1]), drift)
@@ -56,7 +58,8 @@ def drifted(room, config, circle):
 
 def edge(a, b, T):
     information = np.eye(6, dtype=np.float32) * 1e4
-    return Edge(a, b, np.asarray(T.wxyz_xyz), information, information, b - a > 6, False)
+    motion, none = np.asarray(T.wxyz_xyz), np.zeros(0)
+    return Edge(a, b, motion, information, information, b - a > 6, False, none, np.zeros((6, 0)))
 
 
 def true_loop(circle, a, b):

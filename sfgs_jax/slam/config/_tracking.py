@@ -85,6 +85,16 @@ class TrackingConfig:
     readout_sigma: float = 0.02
     """Standard deviation of the time that a rolling shutter takes for an image, as known before the first
     frame, seconds. Global shutters take none, slow ones the whole time between two frames."""
+    estimate_depth: bool = False
+    """Whether depth is corrected by an error of inverse depth that is smooth over the image and the same in
+    all frames. The error is estimated from the registrations between keyframes."""
+    depth_sigma: float = 0.005
+    """Standard deviation of the error of inverse depth, as known before the first frame, 1/m."""
+    depth_tilt_sigma: float = 0.01
+    """Standard deviation of the part of that error that is linear over the image, at its borders, 1/m."""
+    depth_step_sigma: float = 0.0025
+    """Standard deviation of the change of that error over a sixteenth of the image, as known before the first
+    frame, 1/m."""
     motion_model_sigma: float = 0.1
     """Standard deviation of the constant-velocity motion model, metres and radians."""
     min_inlier_fraction: float = 0.3
@@ -123,6 +133,7 @@ class TrackingConfig:
         check_counts(self, 2, "num_references")
         check_counts(self, 0, "max_motion_model_frames", "max_lost")
         check_positive(self, "motion_model_sigma", "delay_sigma", "readout_sigma")
+        check_positive(self, "depth_sigma", "depth_step_sigma", "depth_tilt_sigma")
         check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
         check_range(self, 0, 1, "keyframe_inlier_fraction")
         check_range(self, 0, math.inf, "max_correction_alone", "search_angle", "max_disagreement")

@@ -7,6 +7,7 @@ from sfgs_jax.slam.frontend._frame_features import frame_features as frame_featu
 from sfgs_jax.slam.frontend._frame_features import host_keypoints as host_keypoints
 from sfgs_jax.slam.frontend._frame_features import observe as observe
 from sfgs_jax.slam.frontend._frame_features import tracker_params as tracker_params
+from sfgs_jax.slam.frontend._frame_features import with_corrected_depth as with_corrected_depth
 from sfgs_jax.slam.frontend._joint_registration import Allowed as Allowed
 from sfgs_jax.slam.frontend._joint_registration import register as register
 from sfgs_jax.slam.frontend._localisation import Localised as Localised
@@ -20,6 +21,10 @@ from sfgs_jax.slam.frontend._pose_source import judge as judge
 from sfgs_jax.slam.frontend._pose_source import supports_edge as supports_edge
 from sfgs_jax.slam.frontend._pose_source import supports_loop as supports_loop
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation as supports_relocalisation
+from sfgs_jax.slam.frontend._recorrection import features_in_use as features_in_use
+from sfgs_jax.slam.frontend._recorrection import offsets_in_use as offsets_in_use
+from sfgs_jax.slam.frontend._recorrection import recorrected as recorrected
+from sfgs_jax.slam.frontend._recorrection import with_depth_offsets as with_depth_offsets
 from sfgs_jax.slam.frontend._rectification import rectified as rectified
 from sfgs_jax.slam.frontend._track import TrackInfo as TrackInfo
 from sfgs_jax.slam.frontend._track import estimated_timing as estimated_timing

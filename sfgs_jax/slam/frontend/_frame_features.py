@@ -1,5 +1,6 @@
 """Features of a frame: extraction, keypoint depth, and the depth pyramid."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -10,7 +11,7 @@ from jaxtyping import Array, Float
 from sfgs_jax import gicp
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Camera, Frame, clean_depth
-from sfgs_jax.sensors import SensorTiming
+from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._image_signature import image_signature
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
@@ -39,7 +40,8 @@ def tracker_params(
             "Times of the rows have no effect without estimate_timing: turn it on, or give none."
         )
     network = load_weights() if config.features.kind == "superfeats" else None
-    return TrackerParams(camera, network, timing or SensorTiming(), config)
+    correction = DepthCorrection(jnp.zeros(DEPTH_GRID)) if config.estimate_depth else None
+    return TrackerParams(camera, network, timing or SensorTiming(), correction, config)
 
 
 def observe(params: TrackerParams, frame: Frame) -> FrameFeatures:
@@ -91,11 +93,32 @@ def frame_features(
         network, slots = params.network, config.features.max_keypoints
         features = empty_features() if network is None else extract(network, grey, max_keypoints=slots)
     depth, _ = clean_depth(depth)
+    if params.depth_correction is not None:
+        depth = params.depth_correction.corrected(depth, params.camera)
     features = _with_contrast(features, grey, config.features.min_contrast)
     at = _depth_at(depth, features.keypoints, config.features.depth_tolerance)
     points = params.camera.unproject(features.keypoints, jnp.where(at > 0, at, 1))
     cloud = gicp.prepare(depth, params.camera, config=config.gicp)
     return FrameFeatures(cloud, Keypoints(features, at, points, image_signature(features)))
+
+
+def with_corrected_depth(params: TrackerParams, frame: Frame) -> Frame:
+    """A frame whose depth has the correction in use.
+
+    Args:
+        params: parameters of tracking.
+        frame: as it was read.
+    """
+    if params.depth_correction is None:
+        return frame
+    return replace(frame, depth=_corrected(params.depth_correction, jnp.asarray(frame.depth), params.camera))
+
+
+@jax.jit
+def _corrected(
+    correction: DepthCorrection, depth: Float[Array, "H W"], camera: Camera
+) -> Float[Array, "H W"]:
+    return correction.corrected(depth, camera)
 
 
 def empty_features() -> Features:

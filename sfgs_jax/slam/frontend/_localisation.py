@@ -22,6 +22,7 @@ from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._image_signature import similarities
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation
+from sfgs_jax.slam.frontend._recorrection import features_in_use
 from sfgs_jax.slam.frontend._track import TrackInfo, allowed_sources, rectified_last, settle, track
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
@@ -122,10 +123,11 @@ def relocalise(
     alike = keyframe_similarities(graph.keyframes, features)
     order = np.argsort(-alike, kind="stable")[: config.relocalisation_candidates]
     for number in map(int, order):
-        found = register(params, features, graph.keyframes[number].features, se3.identity())
+        target = features_in_use(params, graph.keyframes[number])
+        found = register(params, features, target, se3.identity())
         if supports_relocalisation(found, config):
             pose = graph.poses[number]
-            return Localised(number, graph.keyframes[number].features, pose, found, False, True)
+            return Localised(number, target, pose, found, False, True)
     return None
 
 

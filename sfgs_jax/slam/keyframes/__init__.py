@@ -1,5 +1,8 @@
 """The keyframe graph at work: insertion, registrations, loops, pose graph, local bundle adjustment."""
 
+from sfgs_jax.slam.keyframes._depth_equations import DepthEquations as DepthEquations
+from sfgs_jax.slam.keyframes._depth_equations import depth_equations as depth_equations
+from sfgs_jax.slam.keyframes._depth_estimate import estimated_depth as estimated_depth
 from sfgs_jax.slam.keyframes._edges import edge_of as edge_of
 from sfgs_jax.slam.keyframes._edges import relative_poses as relative_poses
 from sfgs_jax.slam.keyframes._graph_step import advance_graph as advance_graph

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from sfgs_jax.factor_graph import RelativePose
 from sfgs_jax.geometry import Kernel
@@ -15,7 +16,7 @@ from sfgs_jax.slam.state._registration import Registration
 
 
 def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
-    """A registration as an edge of the graph, with the systematic part of its error.
+    """A registration as an edge of the graph, with the systematic part of its error; depth is not corrected.
 
     Args:
         target: number of the keyframe registered to.
@@ -31,6 +32,8 @@ def edge_of(target: int, source: int, found: Registration, config: GraphConfig) 
         surface_information=_with_systematic_error(np.asarray(found.surface_information, np.float64), config),
         revisit=source - target > config.loop_gap,
         loop=False,
+        offsets=np.zeros(0),
+        sensitivity=np.zeros((6, 0)),
     )
 
 
@@ -60,6 +63,7 @@ def relative_poses(
     edges: Sequence[Edge],
     capacity: int,
     *,
+    offsets: Float[np.ndarray, " G"] | None = None,
     first: int = 0,
     surface_only: bool = False,
     kernel: Kernel = "none",
@@ -70,6 +74,7 @@ def relative_poses(
     Args:
         edges: at most `capacity` of them.
         capacity: rows of the block.
+        offsets: of the depth correction that the motions should be for; each one's own if not given.
         first: number of the keyframe that is pose 0 of the problem.
         surface_only: whether the edges weigh by the surface's information alone.
         kernel: robust kernel.
@@ -83,6 +88,9 @@ def relative_poses(
         poses[row] = edge.target - first, edge.source - first
         motions[row] = edge.T_target_source
         information[row] = edge.surface_information if surface_only else edge.information
+    if offsets is not None and len(offsets) and count:
+        shifts = np.stack([edge.sensitivity @ (offsets - edge.offsets) for edge in edges])
+        motions[:count] = _shifted(motions[:count], shifts)
     return RelativePose(
         poses,
         jaxlie.SE3(jnp.asarray(motions)),
@@ -91,3 +99,10 @@ def relative_poses(
         kernel=kernel,
         kernel_width=kernel_width,
     )
+
+
+def _shifted(motions: Float[np.ndarray, "n 7"], shifts: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 7"]:
+    """Motions as wxyz_xyz, perturbed on the right by tangents of a few centimetres."""
+    rotations = Rotation.from_quat(motions[:, :4], scalar_first=True)
+    turned = (rotations * Rotation.from_rotvec(shifts[:, 3:])).as_quat(scalar_first=True)
+    return np.concatenate([turned, motions[:, 4:] + rotations.apply(shifts[:, :3])], axis=1)

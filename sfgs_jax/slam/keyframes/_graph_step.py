@@ -7,9 +7,10 @@ import numpy as np
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.frontend import features_in_use
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_edge, supports_loop
-from sfgs_jax.slam.keyframes._edges import edge_of
+from sfgs_jax.slam.keyframes._depth_estimate import with_new_offsets, with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._local_bundle_adjustment import optimise_window
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, travelled, with_candidate
@@ -43,6 +44,7 @@ def advance_graph(
         graph, closed_now = _register_next(params, graph, config)
         closed |= closed_now
     if closed or (not graph.pending and (waited or grown)):
+        graph = with_new_offsets(params, graph)
         graph = optimise_window(params, optimise_poses(graph, config), config)
     return graph, closed
 
@@ -58,10 +60,11 @@ def _register_next(
     with_keypoints = params.config.features.kind != "none"
     if supports_edge(found, correction, config, with_keypoints=with_keypoints):
         graph = share_landmarks(graph, target, source, found)
-        return replace(graph, edges=(*graph.edges, edge_of(target, source, found, config))), False
+        graph, edge = with_registration(params, graph, target, source, found, config)
+        return replace(graph, edges=(*graph.edges, edge)), False
     may_be_loop = config.loops and source - target > config.loop_gap
     if may_be_loop and supports_loop(found, off, travelled(graph, target, source), config):
-        candidate = edge_of(target, source, found, config)
+        graph, candidate = with_registration(params, graph, target, source, found, config, told=False)
         return accept_consistent_loops(with_candidate(graph, candidate, config), config)
     return graph, False
 
@@ -80,7 +83,7 @@ def register_pair(
     Returns:
         The registration, and the (6,) tangent of its disagreement with the graph.
     """
-    a, b = graph.keyframes[target], graph.keyframes[source]
+    a, b = (features_in_use(params, graph.keyframes[number]) for number in (target, source))
     guess = se3.compose(se3.inverse(graph.pose(target)), graph.pose(source))
-    found = register(params, b.features, a.features, jaxlie.SE3(guess.wxyz_xyz))
+    found = register(params, b, a, jaxlie.SE3(guess.wxyz_xyz))
     return found, np.asarray(se3.log(se3.compose(se3.inverse(guess), found.T_target_source)))

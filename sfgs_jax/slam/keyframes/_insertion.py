@@ -6,17 +6,18 @@ import numpy as np
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend import TrackInfo
-from sfgs_jax.slam.keyframes._edges import edge_of
+from sfgs_jax.slam.frontend import TrackInfo, offsets_in_use
+from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
-from sfgs_jax.slam.state._tracker import Tracker, reference_at
+from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at
 
 
 def with_new_keyframes(
+    params: TrackerParams,
     graph: KeyframeGraph,
     before: Tracker,
     after: Tracker,
@@ -27,6 +28,7 @@ def with_new_keyframes(
     """The graph with the keyframes that tracking took: the frame before as a bridge, and the frame itself.
 
     Args:
+        params: parameters of tracking.
         graph: before.
         before: tracker before the frame.
         after: tracker after it; its references are the features of the new keyframes.
@@ -36,31 +38,37 @@ def with_new_keyframes(
     """
     taken = bool(found.new_keyframe)
     if not graph.keyframes:
-        return first_keyframe(graph, reference_at(after, after.current), frames[1])
+        return first_keyframe(params, graph, reference_at(after, after.current), frames[1])
     if bool(found.bridged):
         reference = int(before.reference_keyframes[before.current])
         # The frame's own keyframe came after it.
         features = reference_at(after, after.current - np.int32(taken))
-        graph = insert_keyframe(graph, features, before.last_registration, reference, frames[0], config)
+        graph = insert_keyframe(
+            params, graph, features, before.last_registration, reference, frames[0], config
+        )
     if taken:
         features, reference = reference_at(after, after.current), int(found.reference)
-        graph = insert_keyframe(graph, features, found.registration, reference, frames[1], config)
+        graph = insert_keyframe(params, graph, features, found.registration, reference, frames[1], config)
     return graph
 
 
-def first_keyframe(graph: KeyframeGraph, features: FrameFeatures, frame: int) -> KeyframeGraph:
+def first_keyframe(
+    params: TrackerParams, graph: KeyframeGraph, features: FrameFeatures, frame: int
+) -> KeyframeGraph:
     """The graph with its first keyframe, whose camera is the world frame.
 
     Args:
+        params: parameters of tracking.
         graph: without keyframes.
         features: of the keyframe.
         frame: its number in its source.
     """
     identity = np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32)
-    return _with_keyframe(graph, features, identity, identity, reference=0, frame=frame)
+    return _with_keyframe(params, graph, features, identity, identity, reference=0, frame=frame)
 
 
 def insert_keyframe(
+    params: TrackerParams,
     graph: KeyframeGraph,
     features: FrameFeatures,
     found: Registration,
@@ -71,6 +79,7 @@ def insert_keyframe(
     """The graph with a frame as a keyframe, tied to its reference and waiting to be tied to others.
 
     Args:
+        params: parameters of tracking.
         graph: before.
         features: of the frame.
         found: its registration to the reference.
@@ -82,18 +91,20 @@ def insert_keyframe(
     pose = np.asarray(se3.compose(graph.pose(reference), motion).wxyz_xyz)
     source = len(graph.keyframes)
     graph = _with_keyframe(
-        graph, features, pose, np.asarray(motion.wxyz_xyz), reference=reference, frame=frame
+        params, graph, features, pose, np.asarray(motion.wxyz_xyz), reference=reference, frame=frame
     )
     if not config.enabled:
         return graph
     graph = share_landmarks(graph, reference, source, found)
-    graph = replace(graph, edges=(*graph.edges, edge_of(reference, source, found, config)))
+    graph, edge = with_registration(params, graph, reference, source, found, config)
+    graph = replace(graph, edges=(*graph.edges, edge))
     near = neighbours(graph, config)
     far = tuple(pair for pair in loop_pairs(graph, config) if pair not in near and pair[0] != reference)
     return replace(graph, pending=(*graph.pending, *near, *far))
 
 
 def _with_keyframe(
+    params: TrackerParams,
     graph: KeyframeGraph,
     features: FrameFeatures,
     pose: np.ndarray,
@@ -109,6 +120,7 @@ def _with_keyframe(
         frame=frame,
         reference=reference,
         T_reference_keyframe=tracked,
+        offsets=offsets_in_use(params),
     )
     return replace(
         graph, keyframes=(*graph.keyframes, keyframe), poses=np.concatenate([graph.poses, pose[None]])

@@ -94,7 +94,13 @@ def window_of(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) 
     room = size * (size - 1) // 2
     inside = [e for e in graph.edges if e.target >= first and not e.loop][-room:]
     registrations = relative_poses(
-        inside, room, first=first, surface_only=True, kernel="huber", kernel_width=config.kernel_width
+        inside,
+        room,
+        offsets=graph.offsets,
+        first=first,
+        surface_only=True,
+        kernel="huber",
+        kernel_width=config.kernel_width,
     )
     problem = FactorGraph(
         [observations, registrations, _priors(poses, config)],

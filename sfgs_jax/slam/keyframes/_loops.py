@@ -67,7 +67,8 @@ def accept_consistent_loops(graph: KeyframeGraph, config: GraphConfig) -> tuple[
         return graph, False
     poses = padded_poses(graph.poses, pose_capacity(graph, config))
     agreed = consistent_loops(
-        relative_poses(candidates, config.max_loop_candidates), Values(jaxlie.SE3(poses))
+        relative_poses(candidates, config.max_loop_candidates, offsets=graph.offsets),
+        Values(jaxlie.SE3(poses)),
     )
     if agreed.sum() < config.loop_support:
         return graph, False

@@ -35,6 +35,7 @@ def optimise_poses(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
         relative_poses(
             [edge for edge in graph.edges if edge.loop == loop],
             2 * capacity,
+            offsets=graph.offsets,
             kernel=kernel,
             kernel_width=config.kernel_width,
         )

@@ -24,7 +24,7 @@ from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
 from sfgs_jax.slam.state import Edge, Keyframe, MapState, SlamState, View
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -214,9 +214,11 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     zero, counts = jnp.zeros(()), json.loads(metadata["counts"])
     state = init(Camera(zero, zero, zero, zero, width=width, height=height), config)
     motion, matrix = np.zeros(7, np.float32), np.zeros((6, 6), np.float32)
-    edge = Edge(0, 0, motion, matrix, matrix, False, False)
+    offsets = state.graph.offsets
+    sensitivity = np.zeros((6, len(offsets)))
+    edge = Edge(0, 0, motion, matrix, matrix, False, False, offsets, sensitivity)
     shapes = feature_shapes(state.params)
-    keyframe = _bare_keyframe(Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion))
+    keyframe = _bare_keyframe(Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets))
     view = _bare_view(View(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32), 0, se3.identity(), 0))
     graph = replace(
         state.graph,

@@ -46,7 +46,7 @@ def _compile_graph(state: SlamState) -> None:
     config = state.config.graph
     features = state.graph.keyframes[0].features
     found = register(state.params, features, features, se3.identity())
-    graph = insert_keyframe(state.graph, features, found, 0, 1, config)
+    graph = insert_keyframe(state.params, state.graph, features, found, 0, 1, config)
     graph, _ = advance_graph(state.params, replace(graph, pending=((0, 1),)), config, grown=True)
     if graph.edges:
         candidates = graph.edges[:1] * config.loop_support

@@ -1,5 +1,9 @@
 """The state of a run: data, and the functions that make it."""
 
+from sfgs_jax.slam.state._depth_information import DepthInformation as DepthInformation
+from sfgs_jax.slam.state._depth_information import DepthPrior as DepthPrior
+from sfgs_jax.slam.state._depth_information import depth_prior as depth_prior
+from sfgs_jax.slam.state._depth_information import no_depth_information as no_depth_information
 from sfgs_jax.slam.state._frame_features import FrameFeatures as FrameFeatures
 from sfgs_jax.slam.state._frame_features import Keypoints as Keypoints
 from sfgs_jax.slam.state._frame_log import FrameLog as FrameLog

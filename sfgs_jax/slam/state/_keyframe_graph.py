@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from sfgs_jax.arrays import pytree
+from sfgs_jax.slam.state._depth_information import DepthInformation, no_depth_information
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 
 
@@ -21,6 +22,7 @@ class Keyframe:
         frame: number of the frame in its source.
         reference: number of the keyframe that it was tracked in; its own for the first.
         T_reference_keyframe: (7,) pose that it was tracked at there, as wxyz_xyz.
+        offsets: (G,) of the depth correction that the features have, 1/m; none if depth is not corrected.
     """
 
     features: FrameFeatures
@@ -28,6 +30,7 @@ class Keyframe:
     frame: int
     reference: int
     T_reference_keyframe: Float[np.ndarray, "7"]
+    offsets: Float[np.ndarray, " G"]
 
 
 @pytree
@@ -43,6 +46,8 @@ class Edge:
         surface_information: (6, 6) by the surface alone.
         revisit: whether it ties a place seen again to the keyframes from before, however small the drift.
         loop: whether it was accepted by its consistency with other loops.
+        offsets: (G,) of the depth correction that it was found with, 1/m.
+        sensitivity: (6, G) derivative of the motion's tangent by them.
     """
 
     target: int
@@ -52,6 +57,8 @@ class Edge:
     surface_information: Float[np.ndarray, "6 6"]
     revisit: bool
     loop: bool
+    offsets: Float[np.ndarray, " G"]
+    sensitivity: Float[np.ndarray, "6 G"]
 
 
 @pytree
@@ -66,6 +73,8 @@ class KeyframeGraph:
         pending: pairs (target, source) still to be registered, the next one first.
         candidates: registrations that may be loops, and wait for others that agree.
         num_landmarks: landmarks numbered so far.
+        depth: what the registrations said about the distortion of depth.
+        offsets: (G,) of the depth correction that the poses are for, 1/m.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -74,6 +83,8 @@ class KeyframeGraph:
     pending: tuple[tuple[int, int], ...]
     candidates: tuple[Edge, ...]
     num_landmarks: int
+    depth: DepthInformation
+    offsets: Float[np.ndarray, " G"]
 
     @property
     def loops(self) -> tuple[Edge, ...]:
@@ -89,8 +100,12 @@ class KeyframeGraph:
         return jaxlie.SE3(self.poses[number])
 
 
-def empty_graph() -> KeyframeGraph:
-    """The graph before the first keyframe."""
+def empty_graph(offsets: Float[np.ndarray, " G"]) -> KeyframeGraph:
+    """The graph before the first keyframe.
+
+    Args:
+        offsets: of the depth correction to start from, 1/m; none if depth is not corrected.
+    """
     return KeyframeGraph(
         keyframes=(),
         poses=np.zeros((0, 7), np.float32),
@@ -98,4 +113,6 @@ def empty_graph() -> KeyframeGraph:
         pending=(),
         candidates=(),
         num_landmarks=0,
+        depth=no_depth_information(offsets),
+        offsets=offsets,
     )

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.gicp import RowMotion
-from sfgs_jax.sensors import SensorTiming
+from sfgs_jax.sensors import DepthCorrection, SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
@@ -29,12 +29,14 @@ class TrackerParams(eqx.Module):
         network: weights of the keypoint network; None where another extractor, or none, is used.
         timing: times of the camera's rows, as known before the first frame; used where
             `TrackingConfig.estimate_timing` is on.
+        depth_correction: correction of every depth image; None changes nothing.
         config: settings; static.
     """
 
     camera: Camera
     network: Network | None
     timing: SensorTiming
+    depth_correction: DepthCorrection | None
     config: TrackingConfig = eqx.field(static=True)
 
 

@@ -1,0 +1,116 @@
+"""Features of a frame after the estimate of its depth's distortion has changed."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax import gicp
+from sfgs_jax.arrays import dot
+from sfgs_jax.geometry import Camera
+from sfgs_jax.sensors import DepthCorrection, corrected_depth
+from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
+from sfgs_jax.slam.state._keyframe_graph import Keyframe
+from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
+
+
+def offsets_in_use(params: TrackerParams) -> Float[np.ndarray, " G"]:
+    """Offsets of the depth correction of new frames, 1/m; none if depth is not corrected.
+
+    Args:
+        params: parameters of tracking.
+    """
+    correction = params.depth_correction
+    return np.zeros(0) if correction is None else np.asarray(correction.offsets, np.float64).reshape(-1)
+
+
+def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:
+    """Features of a keyframe with the correction of new frames.
+
+    Args:
+        params: parameters of tracking.
+        keyframe: with the correction of its time.
+    """
+    change = offsets_in_use(params) - keyframe.offsets
+    return (
+        recorrected(keyframe.features, params.camera, _grid(params, change))
+        if change.any()
+        else keyframe.features
+    )
+
+
+def with_depth_offsets(
+    params: TrackerParams, tracker: Tracker, offsets: Float[np.ndarray, " G"]
+) -> tuple[TrackerParams, Tracker]:
+    """Parameters and tracker with another correction of depth, for the frames to come and those held.
+
+    Args:
+        params: parameters of tracking.
+        tracker: whose features have their correction.
+        offsets: of the new correction, 1/m.
+    """
+    change = _grid(params, offsets - offsets_in_use(params))
+    references, last = _recorrected_tracker(tracker, params.camera, change)
+    return (
+        replace(params, depth_correction=_grid(params, offsets)),
+        replace(tracker, references=references, last=last),
+    )
+
+
+@jax.jit
+def _recorrected_tracker(
+    tracker: Tracker, camera: Camera, change: DepthCorrection
+) -> tuple[FrameFeatures, FrameFeatures]:
+    references = jax.vmap(recorrected, in_axes=(0, None, None))(tracker.references, camera, change)
+    return references, recorrected(tracker.last, camera, change)
+
+
+def _grid(params: TrackerParams, offsets: Float[np.ndarray, " G"]) -> DepthCorrection:
+    assert params.depth_correction is not None
+    like = params.depth_correction.offsets
+    return DepthCorrection(jnp.asarray(offsets.reshape(like.shape), like.dtype))
+
+
+@jax.jit
+def recorrected(features: FrameFeatures, camera: Camera, change: DepthCorrection) -> FrameFeatures:
+    """Features as they would be with another correction of depth.
+
+    Points move along their rays. The normals turn with the planes: a plane stays one while the offsets vary
+    linearly, and its inverse depth loses theirs.
+
+    Args:
+        features: of a frame, with the correction before.
+        camera: intrinsics.
+        change: offsets now minus offsets before.
+    """
+    cloud = gicp.OrganisedCloud(tuple(_recorrected_level(level, change) for level in features.cloud.levels))
+    return FrameFeatures(cloud, _recorrected_keypoints(features.keypoints, camera, change))
+
+
+def _recorrected_level(level: gicp.OrganisedLevel, change: DepthCorrection) -> gicp.OrganisedLevel:
+    camera, offsets = level.camera, change.image(level.camera)
+    columns, offset = level.surface.reshape(-1, 6).T, offsets.reshape(-1)
+    points, normals, valid = columns[:3], columns[3:], level.valid.reshape(-1)
+    down, across = jnp.gradient(offsets)
+    slope = camera.fx * across.reshape(-1), camera.fy * down.reshape(-1)
+    depth = jnp.where(valid, points[2], 1)
+    # Offsets as a linear function of the ray (x / z, y / z, 1).
+    constant = offset - (slope[0] * points[0] + slope[1] * points[1]) / depth
+    linear = jnp.stack([*slope, constant])
+    # A plane n p = d has the inverse depth (n / d) (x / z, y / z, 1); normals face the camera, so d < 0.
+    turned = normals - dot(normals, points)[None] * linear
+    length = jnp.sqrt(dot(turned, turned))
+    moved = corrected_depth(depth, offset)
+    valid &= (moved > 0) & (length > 0)
+    surface = jnp.concatenate([points * (moved / depth)[None], turned / jnp.where(valid, length, 1)[None]])
+    surface = jnp.where(valid[None], surface, 0).T.reshape(level.surface.shape)
+    return replace(level, surface=surface, valid=valid.reshape(level.valid.shape))
+
+
+def _recorrected_keypoints(keypoints: Keypoints, camera: Camera, change: DepthCorrection) -> Keypoints:
+    pixels = keypoints.features.keypoints
+    depth = corrected_depth(keypoints.depth, change.at(pixels, camera))
+    points = camera.unproject(pixels, jnp.where(depth > 0, depth, 1))
+    return replace(keypoints, depth=depth, points=points)

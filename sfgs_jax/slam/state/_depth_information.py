@@ -1,0 +1,148 @@
+"""Sum of what registrations say about the distortion of depth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.arrays import pytree
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class DepthInformation:
+    """Normal equations of the G offsets of a `DepthCorrection`, summed over registrations, on the host.
+
+    The unknown is their difference from those that the estimate started from.
+
+    Attributes:
+        start: (G,) offsets before the first registration, the mean of the prior, 1/m.
+        information: (G, G) of the sum, the prior not among it, m².
+        vector: (G,) right-hand side, m.
+        chi_square: sum over the registrations of the squared surprise: how far the estimate before was from
+            what the registration said, in standard deviations of their difference.
+        expected: what that sum would be if registrations were as good as their information says.
+    """
+
+    start: Float[np.ndarray, " G"]
+    information: Float[np.ndarray, "G G"]
+    vector: Float[np.ndarray, " G"]
+    chi_square: float
+    expected: float
+
+    @property
+    def excess(self) -> float:
+        """Variance of the registrations over what their information says, at least 1."""
+        return max(1.0, self.chi_square / self.expected) if self.expected else 1.0
+
+    def plus(
+        self,
+        information: Float[np.ndarray, "G G"],
+        vector: Float[np.ndarray, " G"],
+        offsets: Float[np.ndarray, " G"],
+        prior: "DepthPrior",
+    ) -> "DepthInformation":
+        """The sum with a registration's equations.
+
+        Args:
+            information: (G, G) of one registration, m².
+            vector: (G,) its right-hand side, for the difference from the offsets that it was found with, m.
+            offsets: (G,) these, 1/m.
+            prior: of the offsets.
+        """
+        vector = vector + information @ (offsets - self.start)
+        told = prior.root.T @ information @ prior.root
+        off = prior.root.T @ (vector - information @ (self.estimate(prior) - self.start))
+        # If all registrations have the same excess, so has the estimate before, and the surprise shows it.
+        before = prior.root.T @ (self.information + prior.information) @ prior.root
+        surprise, count = _surprise(told, off, np.linalg.inv(before))
+        return DepthInformation(
+            self.start,
+            self.information + information,
+            self.vector + vector,
+            self.chi_square + surprise,
+            self.expected + count,
+        )
+
+    def estimate(self, prior: "DepthPrior") -> Float[np.ndarray, " G"]:
+        """(G,) most likely offsets, 1/m.
+
+        Args:
+            prior: of the offsets.
+        """
+        return self.start + np.linalg.solve(self._posterior(prior), self.vector / self.excess)
+
+    def covariance(self, prior: "DepthPrior") -> Float[np.ndarray, "G G"]:
+        """(G, G) covariance of the estimate, 1/m²; larger where registrations contradict each other.
+
+        Args:
+            prior: of the offsets.
+        """
+        return np.linalg.inv(self._posterior(prior))
+
+    def _posterior(self, prior: "DepthPrior") -> Float[np.ndarray, "G G"]:
+        return self.information / self.excess + prior.information
+
+
+def _surprise(
+    told: Float[np.ndarray, "G G"], off: Float[np.ndarray, " G"], covariance: Float[np.ndarray, "G G"]
+) -> tuple[float, float]:
+    """Squared surprise of a registration, and what to expect of it.
+
+    Only directions count that the registration knows better than the prior did.
+
+    Args:
+        told: information of the registration, in the prior's standard deviations.
+        off: its right-hand side, less that of the estimate before.
+        covariance: of the estimate before.
+    """
+    values, vectors = np.linalg.eigh(told)
+    known = values > 1
+    roots, vectors = np.sqrt(values[known]), vectors[:, known]
+    difference = vectors.T @ off / roots
+    spread = np.eye(len(roots)) + roots[:, None] * (vectors.T @ covariance @ vectors) * roots[None]
+    return float(difference @ np.linalg.solve(spread, difference)), float(len(roots))
+
+
+@dataclass(frozen=True, eq=False)
+class DepthPrior:
+    """Gaussian prior of the offsets; its mean is the start of the estimate.
+
+    Attributes:
+        information: (G, G), m².
+        root: (G, G) lower Cholesky factor of its covariance, 1/m.
+    """
+
+    information: Float[np.ndarray, "G G"]
+    root: Float[np.ndarray, "G G"]
+
+
+def depth_prior(shape: tuple[int, int], sigma: float, step_sigma: float, tilt_sigma: float) -> DepthPrior:
+    """Prior of offsets that are small and vary smoothly, but for a tilt.
+
+    Two sensors that are turned against each other, or a projector, measure disparities with a linear error.
+
+    Args:
+        shape: rows and columns of the grid.
+        sigma: standard deviation of an offset, 1/m.
+        step_sigma: standard deviation of the difference between neighbouring nodes, 1/m.
+        tilt_sigma: standard deviation of the offset at the borders by a tilt about either axis, 1/m.
+    """
+    numbers = np.arange(shape[0] * shape[1]).reshape(shape)
+    smooth = np.eye(numbers.size) / sigma**2
+    for a, b in ((numbers[:, :-1], numbers[:, 1:]), (numbers[:-1], numbers[1:])):
+        step = np.eye(numbers.size)[b.ravel()] - np.eye(numbers.size)[a.ravel()]
+        smooth += step.T @ step / step_sigma**2
+    down, across = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
+    tilts = tilt_sigma * np.stack([down.ravel(), across.ravel()])
+    covariance = np.linalg.inv(smooth) + tilts.T @ tilts
+    return DepthPrior(np.linalg.inv(covariance), np.linalg.cholesky(covariance))
+
+
+def no_depth_information(start: Float[np.ndarray, " G"]) -> DepthInformation:
+    """Nothing, as before the first registration.
+
+    Args:
+        start: (G,) offsets to start from, 1/m.
+    """
+    return DepthInformation(start, np.zeros((len(start), len(start))), np.zeros(len(start)), 0.0, 0.0)

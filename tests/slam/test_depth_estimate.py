@@ -1,0 +1,154 @@
+"""Distortion of depth: its equations, their sum, and its estimate during a run."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sfgs_jax import slam
+from sfgs_jax.datasets import KinectFaults, SyntheticRecording
+from sfgs_jax.evaluation import ate
+from sfgs_jax.geometry import se3
+from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, grid_shares
+from sfgs_jax.slam.frontend import frame_features, recorrected
+from sfgs_jax.slam.keyframes import depth_equations
+from sfgs_jax.slam.state import depth_prior, no_depth_information
+
+COUNT = 50
+PRIOR = depth_prior((2, 3), 0.01, 0.01, 0.01)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """A camera whose depth has bands of 3 cm at 2 m."""
+    return SyntheticRecording(num_frames=COUNT, width=192, height=144, faults=KinectFaults(depth_bands=0.03))
+
+
+@pytest.fixture(scope="module")
+def settings(config):
+    tracking = replace(config.tracking, keyframe_translation=0.1)
+    graph = replace(config.graph, num_neighbours=4)
+    return replace(config, tracking=tracking, graph=graph)
+
+
+@pytest.fixture(scope="module")
+def runs(recording, settings):
+    """States after a run with the distortion estimated, and after one without."""
+
+    def run(estimate_depth):
+        tracking = replace(settings.tracking, estimate_depth=estimate_depth)
+        state = slam.init(recording.camera, replace(settings, tracking=tracking))
+        for number in range(COUNT):
+            state, info, _ = slam.follow(state, recording[number], number=number)
+            assert info.tracked
+        return state
+
+    return {on: run(on) for on in (True, False)}
+
+
+def test_the_distortion_is_found_with_its_uncertainty(recording, runs):
+    state = runs[True]
+    found = np.asarray(state.params.depth_correction.image(recording.camera))
+    truth = recording.inverse_depth_offsets
+    assert np.sqrt(np.mean((found - truth) ** 2)) < np.std(truth) / 4
+    pixels = recording.camera.pixels().reshape(-1, 2)
+    estimate = slam.estimated_depth(state)
+    assert estimate is not None
+    shares = np.asarray(grid_shares(pixels, recording.camera))
+    sigma = np.sqrt(np.einsum("gn,gh,hn->n", shares, estimate[1], shares)).reshape(truth.shape)
+    assert np.mean(((found - truth) / sigma) ** 2) < 2
+    assert sigma.mean() < np.std(truth)
+
+
+def test_the_distortion_does_no_harm_to_the_poses(recording, runs):
+    errors = {on: ate(state.trajectory, recording.ground_truth).rmse_m for on, state in runs.items()}
+    assert errors[True] < errors[False] / 2
+
+
+def test_references_and_edges_follow_the_estimate(runs):
+    state = runs[True]
+    np.testing.assert_allclose(
+        state.params.depth_correction.offsets.reshape(-1), state.graph.offsets, atol=1e-7
+    )
+    assert all(edge.sensitivity.shape == (6, state.graph.offsets.size) for edge in state.graph.edges)
+    assert slam.estimated_depth(runs[False]) is None
+    assert runs[False].graph.offsets.size == 0
+
+
+def test_recorrected_features_are_those_of_corrected_depth(recording, settings):
+    params = slam.tracker_params(recording.camera, settings.tracking)
+    across = jnp.linspace(-1, 1, DEPTH_GRID[1])
+    change = DepthCorrection(0.01 * jnp.broadcast_to(jnp.sin(3 * across)[None], DEPTH_GRID))
+    frame = recording[0]
+    grey = jnp.asarray(frame.rgb).mean(-1)
+    before = frame_features(params, grey, jnp.asarray(frame.depth))
+    wanted = frame_features(replace(params, depth_correction=change), grey, jnp.asarray(frame.depth))
+    found = recorrected(before, recording.camera, change)
+    for a, b, raw in zip(found.cloud.levels, wanted.cloud.levels, before.cloud.levels, strict=True):
+        both = np.asarray(a.valid & b.valid)
+        assert both.mean() > 0.9 * np.asarray(b.valid).mean()
+        off = np.linalg.norm(np.asarray(a.points - b.points)[both], axis=-1)
+        moved = np.linalg.norm(np.asarray(raw.points - b.points)[both], axis=-1)
+        assert np.median(moved) > 0.01
+        assert np.percentile(off, 95) < 0.004
+        turned, kept = (np.sum(np.asarray(x.normals * b.normals)[both], axis=-1) for x in (a, raw))
+        assert np.mean(1 - turned) < np.mean(1 - kept) / 5
+    np.testing.assert_allclose(found.keypoints.points, wanted.keypoints.points, atol=2e-3)
+
+
+def test_the_sensitivity_says_how_the_motion_changes(recording, settings):
+    params = slam.tracker_params(recording.camera, replace(settings.tracking, estimate_depth=True))
+    a, b = (slam.observe(params, recording[number]) for number in (0, 8))
+    found = slam.register(params, b, a, se3.identity())
+    predicted = depth_equations(params, b, a, found).sensitivity
+    across, down = np.meshgrid(np.linspace(-1, 1, DEPTH_GRID[1]), np.linspace(-1, 1, DEPTH_GRID[0]))
+    for pattern in (across, down, across**2):
+        change = 0.004 * pattern
+        moved = [
+            recorrected(x, recording.camera, DepthCorrection(jnp.asarray(change, jnp.float32)))
+            for x in (b, a)
+        ]
+        again = slam.register(params, *moved, found.T_target_source)
+        by = np.asarray(se3.log(se3.compose(se3.inverse(found.T_target_source), again.T_target_source)))
+        expected = predicted @ change.ravel()
+        assert np.linalg.norm(by) > 1e-3
+        assert np.linalg.norm(by - expected) < 0.4 * np.linalg.norm(by)
+
+
+def equations(rng, offsets, sigma):
+    """Ten measurements of linear functions of the offsets, with their noise."""
+    rows = rng.normal(size=(10, len(offsets)))
+    seen = rows @ offsets + sigma * rng.normal(size=10)
+    return rows.T @ rows / sigma**2, rows.T @ seen / sigma**2
+
+
+def test_the_sum_is_the_least_squares_solution_and_its_covariance_is_honest(rng):
+    errors, ratio = [], []
+    for _ in range(200):
+        truth, start = PRIOR.root @ rng.normal(size=6), np.full(6, 0.002)
+        depth = no_depth_information(start)
+        for _ in range(30):
+            used = rng.normal(0, 0.01, 6)
+            information, vector = equations(rng, start + truth - used, 0.02)
+            depth = depth.plus(information, vector, used, PRIOR)
+        off = depth.estimate(PRIOR) - (start + truth)
+        errors.append(off @ np.linalg.solve(depth.covariance(PRIOR), off))
+        ratio.append(depth.chi_square / depth.expected)
+    # A factor that is never below 1 is a little large on average.
+    assert 4 < np.mean(errors) < 6.5
+    assert np.mean(ratio) == pytest.approx(1, rel=0.1)
+
+
+def test_registrations_that_contradict_each_other_count_for_less(rng):
+    truth, depth, agreed = PRIOR.root @ rng.normal(size=6), *2 * [no_depth_information(np.zeros(6))]
+    for _ in range(20):
+        # Each has an error of its own, ten times as large as it says.
+        information, vector = equations(rng, truth + 0.02 * rng.normal(size=6), 0.002)
+        depth = depth.plus(information, vector, np.zeros(6), PRIOR)
+        agreed = agreed.plus(information, information @ truth, np.zeros(6), PRIOR)
+    assert depth.excess > 20
+    assert agreed.excess == 1
+    sigmas, told = (np.sqrt(np.diag(x.covariance(PRIOR))) for x in (depth, agreed))
+    assert (sigmas > 3 * told).all()
+    assert (abs(depth.estimate(PRIOR) - truth) < 4 * sigmas).all()
