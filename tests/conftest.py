@@ -51,8 +51,8 @@ def float64():
         yield
 
 
-@pytest.fixture
-def compilations():
+@pytest.fixture(scope="session")
+def all_compilations():
     """A list that grows by one with every program that XLA compiles."""
     names: list[str] = []
 
@@ -63,6 +63,13 @@ def compilations():
     jax.monitoring.register_event_duration_secs_listener(listen)
     yield names
     jax.monitoring.unregister_event_duration_listener(listen)
+
+
+@pytest.fixture
+def compilations(all_compilations):
+    """The same, empty at the beginning of a test."""
+    all_compilations.clear()
+    return all_compilations
 
 
 @pytest.fixture(scope="session")

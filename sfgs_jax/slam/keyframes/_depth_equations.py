@@ -1,4 +1,4 @@
-"""What a registration of two keyframes says about the distortion of depth, and how its motion depends on it.
+"""Equations of the distortion of depth after a registration of two keyframes.
 
 A camera's distortion of depth moves with the camera. So two surfaces that a motion lays on each other still
 bend against each other, and no other motion removes that. Each registration has its normal equations of the
@@ -103,8 +103,8 @@ def _surface_rows(
     weight = problem.robust_weights(pairs) * _flat(source.cloud.levels[0], len(residual))
     excess = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight * pairs.variance), 1e-12)
 
-    # Taken between the two surfaces: at the measured points the derivative would have their noise in it, and
-    # an offset that shrinks the scene, and all noise with it, would seem to fit better.
+    # Taken between the two surfaces. At the measured points the derivative would have their noise in it. Then
+    # offsets that shrink the scene, and all noise with it, would seem to fit better.
     inside = jnp.asarray([[0], [0], [1]], points.dtype)
     between = jnp.where(pairs.valid[None], (points + pairs.points) / 2, inside)
     camera, seen = source.cloud.levels[0].camera, se3.transform(T, between.T)

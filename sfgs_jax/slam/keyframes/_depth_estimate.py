@@ -78,7 +78,7 @@ def estimated_depth(state: SlamState) -> tuple[DepthCorrection, Float[np.ndarray
 
 
 def prior_of(config: TrackingConfig) -> DepthPrior:
-    """What is known about the distortion of depth before the first frame.
+    """Prior of the distortion of depth, as known before the first frame.
 
     Args:
         config: settings.

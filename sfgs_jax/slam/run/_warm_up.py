@@ -10,7 +10,14 @@ import numpy as np
 from sfgs_jax.geometry import Camera, Frame, se3
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
-from sfgs_jax.slam.frontend import Localised, place, register, search_by_surface
+from sfgs_jax.slam.frontend import (
+    Localised,
+    features_in_use,
+    place,
+    register,
+    search_by_surface,
+    with_depth_offsets,
+)
 from sfgs_jax.slam.keyframes import accept_consistent_loops, advance_graph, insert_keyframe
 from sfgs_jax.slam.mapping import prune
 from sfgs_jax.slam.state import SlamState, move, with_graph_poses
@@ -18,6 +25,8 @@ from sfgs_jax.slam.step import step
 
 _DEPTH = 2.0
 """Depth of the made-up frames, metres."""
+_ANOTHER_OFFSET = 1e-4
+"""Change of the made-up correction of depth, 1/m."""
 
 
 def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
@@ -42,7 +51,7 @@ def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
 
 
 def _compile_graph(state: SlamState) -> None:
-    """Insertion of a keyframe, its registration, both optimisations, and loop closure."""
+    """Insertion of a keyframe, its registration, both optimisations, loop closure, another correction."""
     config = state.config.graph
     features = state.graph.keyframes[0].features
     found = register(state.params, features, features, se3.identity())
@@ -51,7 +60,10 @@ def _compile_graph(state: SlamState) -> None:
     if graph.edges:
         candidates = graph.edges[:1] * config.loop_support
         accept_consistent_loops(replace(graph, candidates=candidates), config)
-    with_graph_poses(state.tracker, graph)
+    tracker = with_graph_poses(state.tracker, graph)
+    if state.config.tracking.estimate_depth:
+        params, _ = with_depth_offsets(state.params, tracker, graph.offsets + _ANOTHER_OFFSET)
+        features_in_use(params, graph.keyframes[0])
 
 
 def _compile_lost(state: SlamState) -> None:

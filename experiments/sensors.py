@@ -1,0 +1,167 @@
+"""The model of the sensors, estimated during a run: what it finds, and what it does for the poses.
+
+    python -m experiments.sensors [--recordings redkitchen fr1_rpy kinect noise] [--frames 600]
+
+Each recording is tracked with and without the times of the rows (`estimate_timing`) and with and without the
+distortion of depth (`estimate_depth`), with the graph of keyframes and without a map. `kinect` is the
+synthetic room seen by `datasets.KINECT_V1`, with true times of 15, 30 and 25 ms; `noise` has no such faults.
+
+*Cycle* is the median error of the motions around three keyframes, each registered to the others. *Epipolar*
+is how far matches of another extractor lie from their epipolar lines (`experiments.epipolar`). Both need no
+truth. The first row of a recording is of the poses that come with it.
+"""
+
+import argparse
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from experiments.epipolar import Pair, epipolar_error, matched_pairs
+from experiments.matching_tables import print_table
+from experiments.recordings import SOURCES
+from sfgs_jax.datasets import Recording, Selection, SyntheticRecording, open_recording
+from sfgs_jax.evaluation import ate, rpe
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam import SlamConfig, SlamState, estimated_depth, estimated_timing, follow, init
+
+RECORDINGS = {
+    **SOURCES,
+    "kinect": "synthetic:frames=150,kinect=1",
+    "noise": "synthetic:frames=150,noise=1",
+}
+COLUMNS = (
+    "modelled",
+    "ATE cm",
+    "Sim(3) scale",
+    "RPE of 10 frames cm",
+    "deg",
+    "cycle cm",
+    "deg",
+    "epipolar px",
+    "lost",
+    "delay ms",
+    "colour readout ms",
+    "depth readout ms",
+    "depth mm at 2 m",
+    "error of that",
+)
+AT = 2.0
+"""Depth at which the distortion is given, metres."""
+
+
+def tracked(recording: Recording, num_frames: int, *, timing: bool, depth: bool) -> SlamState:
+    """The state after the first frames.
+
+    Args:
+        recording: where they are from.
+        num_frames: how many, at most.
+        timing: whether the times of the rows are estimated.
+        depth: whether the distortion of depth is estimated.
+    """
+    tracking = replace(SlamConfig().tracking, estimate_timing=timing, estimate_depth=depth)
+    state = init(recording.camera, replace(SlamConfig(), tracking=tracking))
+    for number in range(min(num_frames, len(recording))):
+        state = follow(state, recording[number], number=number).state
+    return state
+
+
+def cycles(state: SlamState) -> tuple[float, float]:
+    """Median errors of the motions around three keyframes, centimetres and degrees."""
+    poses = {
+        (e.target, e.source): se3.matrices_of(e.T_target_source[None])[0].astype(float)
+        for e in state.graph.edges
+    }
+    around = [
+        np.linalg.inv(poses[a, c]) @ poses[a, b] @ poses[b, c]
+        for (a, b), (start, c) in product(poses, poses)
+        if start == a and (b, c) in poses
+    ]
+    if not around:
+        return float("nan"), float("nan")
+    off = se3.logs_of(np.stack(around))
+    lengths, angles = (np.linalg.norm(part, axis=1) for part in (off[:, :3], off[:, 3:]))
+    return 100 * float(np.median(lengths)), float(np.degrees(np.median(angles)))
+
+
+def epipolar(recording: Recording, poses: dict[int, Float[np.ndarray, "4 4"]], pairs: list[Pair]) -> str:
+    """Epipolar error of some poses, pixels; none without pairs."""
+    return f"{epipolar_error(pairs, poses, float(recording.camera.fx)):.2f}" if pairs else "-"
+
+
+def row(recording: Recording, state: SlamState, pairs: list[Pair]) -> tuple[str, ...]:
+    """A run's row of the table."""
+    truth, found, tracking = recording.ground_truth, state.trajectory, state.config.tracking
+    assert truth is not None
+    ten, cycle = rpe(found, truth, delta=10), cycles(state)
+    by_number = dict(zip(state.log.numbers.tolist(), found.poses, strict=True))
+    on = [name for name in ("timing", "depth") if getattr(tracking, f"estimate_{name}")]
+    return (
+        " and ".join(on) or "nothing",
+        f"{100 * ate(found, truth).rmse_m:.2f}",
+        f"{ate(found, truth, with_scale=True).alignment.scale:.3f}",
+        f"{100 * ten.trans_m:.2f}",
+        f"{ten.rot_deg:.2f}",
+        f"{cycle[0]:.2f}",
+        f"{cycle[1]:.2f}",
+        epipolar(recording, by_number, pairs),
+        str(state.num_lost),
+        *times(state),
+        *distortion(recording, state),
+    )
+
+
+def times(state: SlamState) -> tuple[str, ...]:
+    """The three times with their standard deviations, milliseconds."""
+    if not state.config.tracking.estimate_timing:
+        return ("-",) * 3
+    timing, covariance = estimated_timing(state.params, state.tracker)
+    pairs = zip(timing.vector, np.sqrt(np.diag(covariance)), strict=True)
+    return tuple(f"{1e3 * t:.1f} ± {1e3 * sigma:.1f}" for t, sigma in pairs)
+
+
+def distortion(recording: Recording, state: SlamState) -> tuple[str, str]:
+    """Root mean square of the offsets with that of their deviations, and of their error where it is known."""
+    estimate = estimated_depth(state)
+    if estimate is None:
+        return "-", "-"
+    correction, covariance = estimate
+    found = np.asarray(correction.image(recording.camera))
+    size, sigma = _millimetres(found), _millimetres(np.sqrt(np.diag(covariance)))
+    inner = recording.recording if isinstance(recording, Selection) else recording
+    if not isinstance(inner, SyntheticRecording):
+        return f"{size:.1f} ± {sigma:.1f}", "-"
+    return f"{size:.1f} ± {sigma:.1f}", f"{_millimetres(found - inner.inverse_depth_offsets):.1f}"
+
+
+def _millimetres(offsets: np.ndarray) -> float:
+    """Root mean square of offsets of inverse depth, as millimetres at that depth."""
+    return 1e3 * AT**2 * float(np.sqrt(np.mean(offsets**2)))
+
+
+def main() -> None:
+    """Print a table for each of the recordings named on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument(
+        "--recordings", nargs="*", default=["redkitchen", "fr1_rpy", "kinect", "noise"], choices=RECORDINGS
+    )
+    parser.add_argument("--frames", type=int, default=600)
+    options = parser.parse_args()
+    for name in options.recordings:
+        recording = open_recording(RECORDINGS[name])
+        truth = recording.ground_truth
+        assert truth is not None
+        own = dict(enumerate(truth.poses[: options.frames]))
+        pairs = matched_pairs(recording, own)
+        rows: list[tuple[str, ...]] = [
+            ("its own poses", *("-",) * 6, epipolar(recording, own, pairs), *("-",) * 6)
+        ]
+        for timing, depth in product((False, True), repeat=2):
+            state = tracked(recording, options.frames, timing=timing, depth=depth)
+            rows.append(row(recording, state, pairs))
+        print_table(name, COLUMNS, rows)
+
+
+if __name__ == "__main__":
+    main()
