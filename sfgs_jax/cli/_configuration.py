@@ -26,6 +26,8 @@ class RunConfig:
     """Settings of the reader."""
     slam: SlamConfig
     """Settings of the system."""
+    sensors: Path | None = None
+    """The sensors.json that it began with."""
 
 
 def to_json(config: RunConfig) -> str:

@@ -21,6 +21,7 @@ from sfgs_jax.cli._run_observer import RunObserver
 from sfgs_jax.cli._summary import summary
 from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording, play, prefetch
 from sfgs_jax.geometry import Camera, Frame
+from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam import (
     PRESETS,
     STORAGE,
@@ -29,6 +30,7 @@ from sfgs_jax.slam import (
     TooManySkipped,
     load_run,
     prepare_folder,
+    read_sensors,
     run,
     write_run,
 )
@@ -62,6 +64,8 @@ class RunOptions:
     dataset: Annotated[str | None, tyro.conf.arg(help=_DATASET_HELP)] = None
     config: Path | None = None
     """A config.json of an earlier run; its settings become the defaults."""
+    sensors: Path | None = None
+    """A sensors.json of an earlier run with the same camera; the estimates begin with its values."""
     overwrite: bool = False
     """Replace the results of an earlier run in the output folder."""
     resume: bool = False
@@ -95,14 +99,17 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
         return 2
     source, options, recording = _open(arguments)
     options = dataclasses.replace(options, slam=ablated(options.slam, options.ablation))
-    config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam)
+    known = read_sensors(options.sensors) if options.sensors is not None else None
+    path = None if options.sensors is None else options.sensors.absolute()
+    config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam, path)
     folder = options.out or Path("runs") / recording.name
     if not options.resume:
         prepare_folder(folder, overwrite=options.overwrite)
     with logging_to(folder / "run.log"):
         resumed = _resumed(folder, config, recording.camera) if options.resume else None
         write_atomically(folder / "config.json", to_json(config))
-        return _run(options, config, recording, folder, resumed, play if options.realtime else frames)
+        frames = play if options.realtime else frames
+        return _run(options, config, recording, folder, resumed, frames, known)
 
 
 def _open(arguments: list[str]) -> tuple[str, RunOptions, Recording]:
@@ -110,7 +117,9 @@ def _open(arguments: list[str]) -> tuple[str, RunOptions, Recording]:
     source, options = _parse(arguments, RunOptions())
     if options.config is not None:
         saved = read_config(options.config)
-        defaults = RunOptions(dataset=saved.dataset, reader=saved.reader, slam=saved.slam)
+        defaults = RunOptions(
+            dataset=saved.dataset, reader=saved.reader, slam=saved.slam, sensors=saved.sensors
+        )
         source, options = _parse(arguments, defaults)
         return source, options, open_recording(source, dataset=options.dataset, options=options.reader)
     recording = open_recording(source, dataset=options.dataset, options=options.reader)
@@ -156,6 +165,7 @@ def _run(
     folder: Path,
     resumed: Run | None,
     frames: FrameSource,
+    sensors: SensorModel | None,
 ) -> int:
     """Run over the frames, write the results and evaluate them; returns the exit status."""
     _begin_log(recording, resumed)
@@ -179,6 +189,7 @@ def _run(
                 storage=folder / STORAGE,
                 resumed=resumed,
                 realtime=options.realtime,
+                sensors=sensors,
             )
         except TooManySkipped as error:
             failure, result = error, error.run

@@ -5,6 +5,7 @@ from sfgs_jax.sensors._depth_correction import DepthCorrection as DepthCorrectio
 from sfgs_jax.sensors._depth_correction import corrected_depth as corrected_depth
 from sfgs_jax.sensors._depth_correction import grid_shares as grid_shares
 from sfgs_jax.sensors._lens import Undistortion as Undistortion
+from sfgs_jax.sensors._model import SensorModel as SensorModel
 from sfgs_jax.sensors._timing import SensorTiming as SensorTiming
 from sfgs_jax.sensors._timing import carried as carried
 from sfgs_jax.sensors._timing import row_places as row_places

@@ -1,26 +1,26 @@
 """The state before the first frame."""
 
 from sfgs_jax.geometry import Camera
-from sfgs_jax.sensors import SensorTiming
+from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import init_tracker, offsets_in_use, tracker_params
 from sfgs_jax.slam.state import SlamState, empty_graph, empty_log, empty_map_state
 
 
-def init(camera: Camera, config: SlamConfig | None = None, timing: SensorTiming | None = None) -> SlamState:
+def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel | None = None) -> SlamState:
     """The state before the first frame, whose camera will be the world frame.
 
     Args:
         camera: intrinsics of the frames; their size is fixed for the run.
         config: settings.
-        timing: times of the camera's rows as known before the first frame, for example from
-            `estimated_timing` after an earlier run of the same camera; all rows at once if not given.
+        sensors: what is known about the camera, for example from `read_sensors` after an earlier run; the
+            estimates begin there.
 
     Raises:
-        InputError: times are given while `TrackingConfig.estimate_timing` is off.
+        InputError: times or a correction of depth are given that the settings leave without effect.
     """
     config = config or SlamConfig()
-    params = tracker_params(camera, config.tracking, timing)
+    params = tracker_params(camera, config.tracking, sensors)
     return SlamState(
         config=config,
         params=params,

@@ -18,7 +18,8 @@ def config() -> RunConfig:
         view_interval=7, optimisation=OptimisationConfig(learning_rates=LearningRates(means=0.125))
     )
     reader = ReaderOptions(camera=Path("there/camera.json"), end=12, max_depth=3.0)
-    return RunConfig("recording", "folder", reader, SlamConfig(mapping=mapping, seed=5))
+    slam = SlamConfig(mapping=mapping, seed=5)
+    return RunConfig("recording", "folder", reader, slam, Path("earlier/sensors.json"))
 
 
 def test_round_trip(config):

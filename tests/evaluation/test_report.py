@@ -1,5 +1,6 @@
 import base64
 import dataclasses
+import json
 import re
 import shutil
 from html.parser import HTMLParser
@@ -52,6 +53,24 @@ def run(fabricated, tmp_path, monkeypatch):
 def _decode(address: str) -> np.ndarray:
     data = base64.b64decode(address.removeprefix("data:image/jpeg;base64,"))
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def test_the_page_shows_what_was_found_about_the_camera(run):
+    folder, recording = run
+    evaluate_run(folder, recording)
+    assert "Read-out" not in _Page(write_report(folder, recording).read_text()).text
+    found = {
+        "times_s": {"depth_delay": 0.0123, "colour_readout": 0.03, "depth_readout": 0.025},
+        "times_sigma_s": {"depth_delay": 0.0011, "colour_readout": 0.001, "depth_readout": 0.001},
+        "depth_offsets_per_m": np.linspace(-0.005, 0.01, 96).reshape(6, 16).tolist(),
+        "depth_offsets_sigma_per_m": np.full((6, 16), 0.0005).tolist(),
+    }
+    (folder / "sensors.json").write_text(json.dumps(found))
+    page = _Page(write_report(folder, recording).read_text())
+    assert "Depth after colour12.3 ± 1.1 ms" in page.text
+    assert "Error of depth at 2 m-20 to 40 ± 2 mm" in page.text
+    assert not page.open
+    assert all(link.startswith(("data:", "#")) for link in page.links)
 
 
 def test_the_page_holds_everything_itself(run):

@@ -10,7 +10,7 @@ from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import Trajectory, se3
-from sfgs_jax.sensors import SensorTiming
+from sfgs_jax.sensors import SensorModel, SensorTiming
 from sfgs_jax.superfeats import mean_grey
 
 FAULTS = KinectFaults(depth_delay=0.012, colour_readout=0.03, depth_readout=0.025)
@@ -36,7 +36,7 @@ def tracked(recording, tracking):
 
     def run(estimate_timing, timing=None):
         settings = replace(tracking, estimate_timing=estimate_timing)
-        params = slam.tracker_params(recording.camera, settings, timing)
+        params = slam.tracker_params(recording.camera, settings, SensorModel(timing))
         tracker, poses = slam.init_tracker(params), []
         for i in range(COUNT):
             frame = recording[i]
@@ -62,7 +62,7 @@ def test_the_times_are_found_with_their_uncertainty(tracked):
 
 def test_times_that_would_have_no_effect_are_refused(recording, tracking):
     with pytest.raises(InputError, match="estimate_timing"):
-        slam.tracker_params(recording.camera, tracking, SensorTiming(depth_delay=0.01))
+        slam.tracker_params(recording.camera, tracking, SensorModel(SensorTiming(depth_delay=0.01)))
 
 
 def test_without_the_estimate_the_times_stay_what_they_were(tracked):

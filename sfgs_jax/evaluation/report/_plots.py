@@ -99,6 +99,29 @@ def plot_errors(absolute: Ate) -> str:
         return _svg(figure)
 
 
+def plot_depth_error(millimetres: Float[np.ndarray, "r c"]) -> str:
+    """Error of depth over the image, as SVG.
+
+    Args:
+        millimetres: of the nodes of a grid; positive where depth is measured too small.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(5, 3), layout="constrained")
+        axes = figure.subplots()
+        limit = max(float(np.abs(millimetres).max()), 1.0)
+        image = axes.imshow(
+            millimetres, cmap="RdBu_r", vmin=-limit, vmax=limit, aspect="auto", interpolation="bilinear"
+        )
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_title("Depth measured too small (+) or too large (-), mm", loc="left", fontweight="bold")
+        figure.colorbar(image, ax=axes)
+        return _svg(figure)
+
+
 def _points(T_first_world: Float[np.ndarray, "4 4"], trajectory: Trajectory) -> Float[np.ndarray, "n 3"]:
     return trajectory.positions @ T_first_world[:3, :3].T + T_first_world[:3, 3]
 

@@ -19,7 +19,7 @@ from sfgs_jax.evaluation.report._figures import (
     trajectory_table,
 )
 from sfgs_jax.evaluation.report._html import foldable_values
-from sfgs_jax.evaluation.report._sections import trajectory_section, views_section
+from sfgs_jax.evaluation.report._sections import sensors_section, trajectory_section, views_section
 from sfgs_jax.splatting import load_ply
 
 
@@ -49,6 +49,7 @@ def write_report(run_dir: Path, recording: Recording, *, num_views: int = 6) -> 
         trajectory_section(run_dir, recording),
         views_section(views),
         "<div class='columns'>" + image_table(metrics) + trajectory_table(metrics) + "</div>",
+        sensors_section(run_dir),
         stage_table(metrics),
         foldable_values("Configuration", config, opened=False),
         other_figures(metrics),

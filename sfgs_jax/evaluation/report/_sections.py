@@ -7,12 +7,21 @@ from jaxtyping import Float
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import Recording
+from sfgs_jax.evaluation._run_folder import read_json
 from sfgs_jax.evaluation.report._compared_views import ComparedView
-from sfgs_jax.evaluation.report._html import section
+from sfgs_jax.evaluation.report._html import section, table
 from sfgs_jax.evaluation.report._pictures import depth_picture, depth_scale, rgb_picture
-from sfgs_jax.evaluation.report._plots import plot_errors, plot_paths
+from sfgs_jax.evaluation.report._plots import plot_depth_error, plot_errors, plot_paths
 from sfgs_jax.evaluation.trajectory import ate
 from sfgs_jax.geometry import Trajectory, read_tum
+
+SEEN_AT = 2.0
+"""Depth at which the error of depth is shown, metres."""
+_TIMES = {
+    "depth_delay": "Depth after colour",
+    "colour_readout": "Read-out of colour",
+    "depth_readout": "Read-out of depth",
+}
 
 
 def trajectory_section(run_dir: Path, recording: Recording) -> str:
@@ -34,6 +43,30 @@ def trajectory_section(run_dir: Path, recording: Recording) -> str:
         except InputError:
             pass  # the section of missing figures gives the reason
     return section("Trajectory", plot_paths(estimate, keyframes, truth) + errors)
+
+
+def sensors_section(run_dir: Path) -> str:
+    """What the run has found about the camera, with standard deviations; empty if it estimated nothing.
+
+    Args:
+        run_dir: folder that a run wrote.
+    """
+    path = run_dir / "sensors.json"
+    if not path.exists():
+        return ""
+    found, rows = read_json(path), []
+    for name, title in _TIMES.items() if "times_s" in found else ():
+        value, sigma = 1e3 * found["times_s"][name], 1e3 * found["times_sigma_s"][name]
+        rows.append((title, f"{value:.1f} ± {sigma:.1f} ms"))
+    picture = ""
+    if "depth_offsets_per_m" in found:
+        off = 1e3 * SEEN_AT**2 * np.asarray(found["depth_offsets_per_m"])
+        sigma = 1e3 * SEEN_AT**2 * float(np.mean(found["depth_offsets_sigma_per_m"]))
+        rows.append(
+            (f"Error of depth at {SEEN_AT:g} m", f"{off.min():.0f} to {off.max():.0f} ± {sigma:.0f} mm")
+        )
+        picture = plot_depth_error(off)
+    return section("Camera", table(("", "estimated"), rows, numbers=True) + picture)
 
 
 def _keyframes(run_dir: Path) -> Trajectory:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from sfgs_jax import gicp
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Camera, Frame, clean_depth
-from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorTiming
+from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._image_signature import image_signature
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
@@ -23,25 +23,32 @@ _BLOCK = 4
 
 
 def tracker_params(
-    camera: Camera, config: TrackingConfig, timing: SensorTiming | None = None
+    camera: Camera, config: TrackingConfig, sensors: SensorModel | None = None
 ) -> TrackerParams:
     """Parameters of tracking with the shipped keypoint network.
 
     Args:
         camera: intrinsics of the frames.
         config: settings.
-        timing: times of the camera's rows as known before the first frame; all at once if not given.
+        sensors: what is known about the camera before the first frame. Rows whose times are not known count
+            as exposed at once, and depth as right.
 
     Raises:
-        InputError: times are given that the settings leave without effect.
+        InputError: times or a correction of depth are given that the settings leave without effect.
     """
-    if timing is not None and not config.estimate_timing:
+    sensors = sensors or SensorModel()
+    if sensors.timing is not None and not config.estimate_timing:
         raise InputError(
             "Times of the rows have no effect without estimate_timing: turn it on, or give none."
         )
+    if sensors.depth is not None and not config.estimate_depth:
+        raise InputError(
+            "A correction of depth has no effect without estimate_depth: turn it on, or give none."
+        )
     network = load_weights() if config.features.kind == "superfeats" else None
-    correction = DepthCorrection(jnp.zeros(DEPTH_GRID)) if config.estimate_depth else None
-    return TrackerParams(camera, network, timing or SensorTiming(), correction, config)
+    correction = sensors.depth or DepthCorrection(jnp.zeros(DEPTH_GRID))
+    correction = correction if config.estimate_depth else None
+    return TrackerParams(camera, network, sensors.timing or SensorTiming(), correction, config)
 
 
 def observe(params: TrackerParams, frame: Frame) -> FrameFeatures:

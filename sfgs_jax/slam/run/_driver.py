@@ -8,6 +8,7 @@ import numpy as np
 
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.geometry import Camera, Frame, Trajectory
+from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.mapping import (
@@ -158,6 +159,7 @@ def run(
     storage: Path | None = None,
     resumed: Run | None = None,
     realtime: bool = False,
+    sensors: SensorModel | None = None,
 ) -> Run:
     """Track and map a source of frames.
 
@@ -172,12 +174,13 @@ def run(
         resumed: a run to go on with; `frames` begin where it stopped.
         realtime: map in a thread of its own, in the time that tracking leaves. Otherwise each frame and each
             view has its number of map steps, and a run repeats itself to the bit.
+        sensors: what is known about the camera; see `init`. A resumed run knows it already.
 
     Raises:
         TooManySkipped: too many frames could not be decoded; it carries the run so far.
         InputError: the resumed run had another camera or other settings.
     """
-    result = resumed or Run(init(camera, config))
+    result = resumed or Run(init(camera, config, sensors))
     _check_resumed(result, camera, config)
     with result.stopwatch("compilation"):
         warm_up(camera, config)

@@ -14,6 +14,7 @@ import jax
 from sfgs_jax.arrays import InputError, write_atomically
 from sfgs_jax.geometry import format_tum
 from sfgs_jax.slam.run._driver import Run
+from sfgs_jax.slam.run._sensor_file import SENSOR_FILE, write_sensors
 from sfgs_jax.splatting import save_ply
 
 OUTPUT_FILES = (
@@ -22,6 +23,7 @@ OUTPUT_FILES = (
     "map.ply",
     "metrics.json",
     "config.json",
+    SENSOR_FILE,
     "report.html",
     "run.log",
 )
@@ -62,12 +64,13 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
 
 
 def write_run(run: Run, folder: Path) -> None:
-    """Write `trajectory.txt`, `keyframes.txt`, `metrics.json` and `map.ply`, the smallest first.
+    """Write the paths, `sensors.json`, `metrics.json` and `map.ply`, the smallest first.
 
     Raises:
         OSError: a file can't be written, for instance because the disk is full; those before it are whole.
     """
     write_trajectories(run, folder)
+    write_sensors(run.state, folder / SENSOR_FILE)
     write_atomically(folder / "metrics.json", json.dumps(run_metrics(run), indent=2) + "\n")
     save_ply(folder / "map.ply", run.gaussians)
 
