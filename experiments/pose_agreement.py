@@ -11,11 +11,13 @@ that sees a share of the matches where they are is found by PnP and RANSAC, with
 those matches are carried from frame to frame by either poses, and how far they miss is taken, in pixels.
 
 Where the recording's own poses miss by more than the system's, an ATE measures the recording's poses as much
-as the system's. Everything is tracked without a map.
+as the system's. *Sensors modelled* poses are judged by depth as the run has corrected it, the others by depth
+as it was recorded. Everything is tracked without a map.
 """
 
+from dataclasses import replace
 from itertools import product
-from typing import Literal
+from typing import Literal, NamedTuple, Protocol
 
 import cv2
 import jax.numpy as jnp
@@ -27,8 +29,9 @@ from experiments.matching_tables import print_table
 from experiments.recordings import SOURCES
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import Recording, open_recording, prefetch
-from sfgs_jax.geometry import Camera, clean_depth, surface
-from sfgs_jax.slam import SlamConfig, follow, init
+from sfgs_jax.geometry import Camera, Frame, clean_depth, surface
+from sfgs_jax.slam import SlamConfig, TrackerParams, follow, init
+from sfgs_jax.slam.frontend import with_corrected_depth
 from sfgs_jax.superfeats import extract_orb, match
 
 EVERY = 10
@@ -47,10 +50,23 @@ KEYPOINTS, MATCHED_PIXELS, MIN_MATCHES = 2000, 4.0, 40
 COLUMNS = ("recording", "pairs", "poses", "median", "90th percentile")
 
 
+class Images(Protocol):
+    """Frames of a camera by number, as a `Recording` gives them."""
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics of the frames."""
+        ...
+
+    def __getitem__(self, index: int) -> Frame:
+        """A frame."""
+        ...
+
+
 class Surfaces:
     """Points and normals of frames, made when asked for."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Images) -> None:
         self._recording = recording
         self._made: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -99,7 +115,7 @@ def pairs(poses: Float[np.ndarray, "n 4 4"], stride: int = 1) -> list[tuple[int,
 
 
 def agreed_matches(
-    recording: Recording, i: int, j: int
+    recording: Images, i: int, j: int
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 2"]] | None:
     """Matches of two frames that one camera motion explains, by PnP; None if there are few.
 
@@ -134,51 +150,84 @@ def misses(
     return np.linalg.norm(seen[:, :2] / seen[:, 2:] - to, axis=1)
 
 
-def tracked(name: str) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
-    """A recording with the poses (N, 4, 4) found and those that come with it."""
+class Corrected:
+    """A recording with its depth corrected as a run has found it."""
+
+    def __init__(self, recording: Recording, params: TrackerParams) -> None:
+        self._recording, self._params = recording, params
+        self.camera = recording.camera
+
+    def __getitem__(self, index: int) -> Frame:
+        return with_corrected_depth(self._params, self._recording[index])
+
+
+class Poses(NamedTuple):
+    """Poses, and the images that they are judged by.
+
+    Attributes:
+        name: where they are from.
+        poses: (N, 4, 4) `T_world_cam`.
+        images: of the recording, with the depth that the poses were found by.
+    """
+
+    name: str
+    poses: Float[np.ndarray, "n 4 4"]
+    images: Images
+
+
+def tracked(name: str) -> list[Poses]:
+    """Poses found for a recording, without and with the sensors modelled, and those that come with it."""
     recording = open_recording(SOURCES[name])
-    truth = recording.ground_truth
-    state = init(recording.camera, SlamConfig())
-    for _, frame in prefetch(recording):
-        if not isinstance(frame, FrameError):
-            state, _, _ = follow(state, frame)
-    found = state.trajectory
-    if truth is None or not len(found) == len(truth.poses) == len(recording):
-        raise SystemExit(f"{name}: every frame needs a pose, found and given, to be compared.")
-    return recording, (found.poses, truth.poses)
+    truth, found = recording.ground_truth, []
+    for title, on in (("found", False), ("found, sensors modelled", True)):
+        tracking = replace(SlamConfig().tracking, estimate_timing=on, estimate_depth=on)
+        state = init(recording.camera, replace(SlamConfig(), tracking=tracking))
+        for _, frame in prefetch(recording):
+            if not isinstance(frame, FrameError):
+                state, _, _ = follow(state, frame)
+        if truth is None or not len(state.trajectory) == len(truth.poses) == len(recording):
+            raise SystemExit(f"{name}: every frame needs a pose, found and given, to be compared.")
+        found.append(Poses(title, state.trajectory.poses, Corrected(recording, state.params)))
+    assert truth is not None
+    return [*found, Poses("the recording's", truth.poses, recording)]
 
 
-def by_depth(recording: Recording, poses: tuple[np.ndarray, np.ndarray]) -> list[list[np.ndarray]]:
-    """Of every pair of frames, centimetres between the surfaces by either poses."""
-    surfaces = Surfaces(recording)
-    both = [
-        [
-            100 * distances(surfaces[i], surfaces[j], np.linalg.inv(T[j]) @ T[i], recording.camera)
-            for T in poses
-        ]
-        for i, j in pairs(poses[0])
-    ]
-    return [pair for pair in both if min(map(len, pair)) >= MIN_POINTS]
+def by_depth(kinds: list[Poses]) -> list[list[np.ndarray]]:
+    """Of every pair of frames, centimetres between the surfaces by each kind of poses."""
+    measured = []
+    for _, poses, images in kinds:
+        surfaces = Surfaces(images)
+        measured.append(
+            [
+                100 * distances(surfaces[i], surfaces[j], np.linalg.inv(poses[j]) @ poses[i], images.camera)
+                for i, j in pairs(kinds[0].poses)
+            ]
+        )
+    by_pair = [list(pair) for pair in zip(*measured, strict=True)]
+    return [pair for pair in by_pair if min(map(len, pair)) >= MIN_POINTS]
 
 
-def by_colour(recording: Recording, poses: tuple[np.ndarray, np.ndarray]) -> list[list[np.ndarray]]:
-    """Of every pair of frames, pixels by which matches miss by either poses."""
+def by_colour(kinds: list[Poses]) -> list[list[np.ndarray]]:
+    """Of every pair of frames, pixels by which matches miss by each kind of poses."""
     found = []
-    for i in range(0, len(recording) - GAP, EVERY):
-        matches = agreed_matches(recording, i, i + GAP)
-        if matches is not None:
-            motions = [np.linalg.inv(T[i + GAP]) @ T[i] for T in poses]
-            found.append([misses(*matches, motion, recording.camera) for motion in motions])
+    for i in range(0, len(kinds[0].poses) - GAP, EVERY):
+        matches = [agreed_matches(images, i, i + GAP) for _, _, images in kinds]
+        if all(m is not None for m in matches):
+            found.append(
+                [
+                    misses(*m, np.linalg.inv(poses[i + GAP]) @ poses[i], images.camera)
+                    for m, (_, poses, images) in zip(matches, kinds, strict=True)
+                    if m is not None
+                ]
+            )
     return found
 
 
-def rows(name: str, measured: list[list[np.ndarray]]) -> list[tuple[str, ...]]:
+def rows(name: str, kinds: list[Poses], measured: list[list[np.ndarray]]) -> list[tuple[str, ...]]:
     """The rows of a recording."""
     return [
-        (name, str(len(measured)), source, f"{np.median(values):.2f}", f"{np.percentile(values, 90):.2f}")
-        for source, values in zip(
-            ("found", "the recording's"), map(np.concatenate, zip(*measured, strict=True)), strict=True
-        )
+        (name, str(len(measured)), kind.name, f"{np.median(values):.2f}", f"{np.percentile(values, 90):.2f}")
+        for kind, values in zip(kinds, map(np.concatenate, zip(*measured, strict=True)), strict=True)
     ]
 
 
@@ -188,9 +237,9 @@ def main(
     """Print the tables."""
     depth, colour = [], []
     for name in recordings:
-        recording, poses = tracked(name)
-        depth += rows(name, by_depth(recording, poses))
-        colour += rows(name, by_colour(recording, poses))
+        kinds = tracked(name)
+        depth += rows(name, kinds, by_depth(kinds))
+        colour += rows(name, kinds, by_colour(kinds))
     print_table("Surfaces of frames far apart in time, cm", COLUMNS, depth)
     print_table(f"Matches between frames {GAP} apart, pixels", COLUMNS, colour)
 
