@@ -1,9 +1,13 @@
 """Settings that suit each kind of recording; every one can be overridden on the command line."""
 
-from sfgs_jax.slam.config import MappingConfig, SeedingConfig, SlamConfig
+from sfgs_jax.slam.config import MappingConfig, SeedingConfig, SlamConfig, TrackingConfig
 
-_KINECT = SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(max_depth=5.0)))
-"""A Kinect's depth is noise beyond five metres or so."""
+_KINECT = SlamConfig(
+    tracking=TrackingConfig(estimate_timing=True, estimate_depth=True),
+    mapping=MappingConfig(seeding=SeedingConfig(max_depth=5.0)),
+)
+"""A Kinect's depth is noise beyond five metres or so, and distorted. Its rows are not exposed at once
+(`experiments.sensors`)."""
 
 PRESETS: dict[str, SlamConfig] = {
     "tum": _KINECT,

@@ -68,7 +68,7 @@ def test_the_page_shows_what_was_found_about_the_camera(run):
     (folder / "sensors.json").write_text(json.dumps(found))
     page = _Page(write_report(folder, recording).read_text())
     assert "Depth after colour12.3 ± 1.1 ms" in page.text
-    assert "Error of depth at 2 m-20 to 40 ± 2 mm" in page.text
+    assert "Correction of depth at 2 m-20 to 40 ± 2 mm" in page.text
     assert not page.open
     assert all(link.startswith(("data:", "#")) for link in page.links)
 

@@ -99,11 +99,11 @@ def plot_errors(absolute: Ate) -> str:
         return _svg(figure)
 
 
-def plot_depth_error(millimetres: Float[np.ndarray, "r c"]) -> str:
-    """Error of depth over the image, as SVG.
+def plot_depth_correction(millimetres: Float[np.ndarray, "r c"]) -> str:
+    """Correction of depth over the image, as SVG.
 
     Args:
-        millimetres: of the nodes of a grid; positive where depth is measured too small.
+        millimetres: at the nodes of a grid; positive where depth was measured too small.
     """
     import matplotlib
     from matplotlib.figure import Figure
@@ -117,7 +117,7 @@ def plot_depth_error(millimetres: Float[np.ndarray, "r c"]) -> str:
         )
         axes.set_xticks([])
         axes.set_yticks([])
-        axes.set_title("Depth measured too small (+) or too large (-), mm", loc="left", fontweight="bold")
+        axes.set_title("Correction of depth, mm", loc="left", fontweight="bold")
         figure.colorbar(image, ax=axes)
         return _svg(figure)
 

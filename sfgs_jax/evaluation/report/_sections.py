@@ -11,12 +11,12 @@ from sfgs_jax.evaluation._run_folder import read_json
 from sfgs_jax.evaluation.report._compared_views import ComparedView
 from sfgs_jax.evaluation.report._html import section, table
 from sfgs_jax.evaluation.report._pictures import depth_picture, depth_scale, rgb_picture
-from sfgs_jax.evaluation.report._plots import plot_depth_error, plot_errors, plot_paths
+from sfgs_jax.evaluation.report._plots import plot_depth_correction, plot_errors, plot_paths
 from sfgs_jax.evaluation.trajectory import ate
 from sfgs_jax.geometry import Trajectory, read_tum
 
 SEEN_AT = 2.0
-"""Depth at which the error of depth is shown, metres."""
+"""Depth at which the correction of depth is shown, metres."""
 _TIMES = {
     "depth_delay": "Depth after colour",
     "colour_readout": "Read-out of colour",
@@ -63,9 +63,9 @@ def sensors_section(run_dir: Path) -> str:
         off = 1e3 * SEEN_AT**2 * np.asarray(found["depth_offsets_per_m"])
         sigma = 1e3 * SEEN_AT**2 * float(np.mean(found["depth_offsets_sigma_per_m"]))
         rows.append(
-            (f"Error of depth at {SEEN_AT:g} m", f"{off.min():.0f} to {off.max():.0f} ± {sigma:.0f} mm")
+            (f"Correction of depth at {SEEN_AT:g} m", f"{off.min():.0f} to {off.max():.0f} ± {sigma:.0f} mm")
         )
-        picture = plot_depth_error(off)
+        picture = plot_depth_correction(off)
     return section("Camera", table(("", "estimated"), rows, numbers=True) + picture)
 
 
