@@ -41,6 +41,7 @@ VARIANTS = {
     "without the window": replace(WHOLE, graph=replace(GRAPH, window=1)),
     "without loops": replace(WHOLE, graph=replace(GRAPH, loops=False)),
     "without the factor graph": replace(WHOLE, graph=replace(GRAPH, enabled=False)),
+    "sensors modelled": replace(WHOLE, tracking=replace(TRACKING, estimate_timing=True, estimate_depth=True)),
 }
 STRIDES = (1, 2, 3, 5)
 FAINT_STRIDES = (5, 10, 20)

@@ -1,4 +1,4 @@
-"""What is known about a camera before a recording: the times of its rows, and the distortion of its depth."""
+"""Model of a camera: the times of its rows, and the distortion of its depth."""
 
 import equinox as eqx
 
