@@ -27,7 +27,7 @@ OUTPUT_FILES = (
     "report.html",
     "run.log",
 )
-"""Everything a run writes, and all that --overwrite replaces."""
+"""Everything a run writes, `sensors.json` where it estimates its camera; --overwrite replaces all of it."""
 
 
 STORAGE = "state"
