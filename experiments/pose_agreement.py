@@ -1,4 +1,4 @@
-"""What a recording's images say of poses, those that the system finds and those that come with it.
+"""Agreement of poses with a recording's images: of those that the system finds, and those that come with it.
 
     python -m experiments.pose_agreement [--recordings redkitchen fr1_rpy]
 
@@ -10,9 +10,9 @@ By colour: ORB's keypoints, which the system does not use, of frames fifty apart
 that sees a share of the matches where they are is found by PnP and RANSAC, without any of the poses;
 those matches are carried from frame to frame by either poses, and how far they miss is taken, in pixels.
 
-Where the recording's own poses miss by more than the system's, an ATE measures the recording's poses as much
-as the system's. *Sensors modelled* poses are judged by depth as the run has corrected it, the others by depth
-as it was recorded. Everything is tracked without a map.
+If the recording's own poses miss by more than the system's, an ATE measures them as much as the system's.
+*Sensors modelled* poses are judged by depth as the run has corrected it, the others by depth as it was
+recorded. Everything is tracked without a map.
 """
 
 from dataclasses import replace

@@ -8,10 +8,11 @@ from jaxtyping import Float
 
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
-from sfgs_jax.slam.frontend import features_in_use, offsets_in_use
+from sfgs_jax.slam.frontend import offsets_in_use
 from sfgs_jax.slam.keyframes._depth_equations import depth_equations
 from sfgs_jax.slam.keyframes._edges import edge_of
 from sfgs_jax.slam.state._depth_information import DepthPrior, depth_prior
+from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 from sfgs_jax.slam.state._slam_state import SlamState
@@ -23,6 +24,7 @@ def with_registration(
     graph: KeyframeGraph,
     target: int,
     source: int,
+    features: tuple[FrameFeatures, FrameFeatures],
     found: Registration,
     config: GraphConfig,
     *,
@@ -35,6 +37,7 @@ def with_registration(
         graph: before; it does not get the edge.
         target: number of the keyframe registered to.
         source: number of the keyframe registered.
+        features: of both, target and source, with the correction of depth of `params`.
         found: the registration, with the correction of depth of `params`.
         config: settings.
         told: whether the registration is believed.
@@ -42,8 +45,7 @@ def with_registration(
     if params.depth_correction is None:
         return graph, edge_of(target, source, found, config)
     offsets = offsets_in_use(params)
-    a, b = (features_in_use(params, graph.keyframes[number]) for number in (target, source))
-    equations = depth_equations(params, b, a, found)
+    equations = depth_equations(params, features[1], features[0], found)
     edge = replace(edge_of(target, source, found, config), offsets=offsets, sensitivity=equations.sensitivity)
     if not told or int(found.source) not in (PoseSource.JOINT, PoseSource.SURFACE):
         return graph, edge

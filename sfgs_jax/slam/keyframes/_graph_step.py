@@ -15,6 +15,7 @@ from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._local_bundle_adjustment import optimise_window
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, travelled, with_candidate
 from sfgs_jax.slam.keyframes._pose_graph import optimise_poses
+from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -55,22 +56,27 @@ def _register_next(
     """The graph after the next waiting pair was registered, and whether that closed a loop."""
     (target, source), rest = graph.pending[0], graph.pending[1:]
     graph = replace(graph, pending=rest)
-    found, off = register_pair(params, graph, target, source)
+    a, b = (features_in_use(params, graph.keyframes[number]) for number in (target, source))
+    found, off = register_pair(params, graph, target, source, (a, b))
     correction = float(max(np.linalg.norm(off[:3]), np.linalg.norm(off[3:])))
     with_keypoints = params.config.features.kind != "none"
     if supports_edge(found, correction, config, with_keypoints=with_keypoints):
         graph = share_landmarks(graph, target, source, found)
-        graph, edge = with_registration(params, graph, target, source, found, config)
+        graph, edge = with_registration(params, graph, target, source, (a, b), found, config)
         return replace(graph, edges=(*graph.edges, edge)), False
     may_be_loop = config.loops and source - target > config.loop_gap
     if may_be_loop and supports_loop(found, off, travelled(graph, target, source), config):
-        graph, candidate = with_registration(params, graph, target, source, found, config, told=False)
+        graph, candidate = with_registration(params, graph, target, source, (a, b), found, config, told=False)
         return accept_consistent_loops(with_candidate(graph, candidate, config), config)
     return graph, False
 
 
 def register_pair(
-    params: TrackerParams, graph: KeyframeGraph, target: int, source: int
+    params: TrackerParams,
+    graph: KeyframeGraph,
+    target: int,
+    source: int,
+    features: tuple[FrameFeatures, FrameFeatures],
 ) -> tuple[Registration, np.ndarray]:
     """Register a keyframe to another from where the graph has them.
 
@@ -79,11 +85,11 @@ def register_pair(
         graph: that holds them.
         target: number of the keyframe to register to.
         source: number of the keyframe to register.
+        features: of both, target and source, with the correction of depth of `params`.
 
     Returns:
         The registration, and the (6,) tangent of its disagreement with the graph.
     """
-    a, b = (features_in_use(params, graph.keyframes[number]) for number in (target, source))
     guess = se3.compose(se3.inverse(graph.pose(target)), graph.pose(source))
-    found = register(params, b, a, jaxlie.SE3(guess.wxyz_xyz))
+    found = register(params, features[1], features[0], jaxlie.SE3(guess.wxyz_xyz))
     return found, np.asarray(se3.log(se3.compose(se3.inverse(guess), found.T_target_source)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend import TrackInfo, offsets_in_use
+from sfgs_jax.slam.frontend import TrackInfo, features_in_use, offsets_in_use
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
@@ -96,7 +96,8 @@ def insert_keyframe(
     if not config.enabled:
         return graph
     graph = share_landmarks(graph, reference, source, found)
-    graph, edge = with_registration(params, graph, reference, source, found, config)
+    both = features_in_use(params, graph.keyframes[reference]), features
+    graph, edge = with_registration(params, graph, reference, source, both, found, config)
     graph = replace(graph, edges=(*graph.edges, edge))
     near = neighbours(graph, config)
     far = tuple(pair for pair in loop_pairs(graph, config) if pair not in near and pair[0] != reference)
