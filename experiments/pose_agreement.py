@@ -6,9 +6,9 @@ By depth: pairs of frames far apart in time that see the same place are laid ove
 Points of one frame are carried to the other, and their distances from its surface, along the normals, are
 taken. No registration is involved, and no frame of a pair has to be a keyframe.
 
-By colour: ORB's keypoints, which the system does not use, of frames fifty apart are matched. A camera
-that sees a share of the matches where they are is found by PnP and RANSAC, without any of the poses;
-those matches are carried from frame to frame by either poses, and how far they miss is taken, in pixels.
+By colour: ORB's keypoints, which the system does not use, of frames fifty apart are matched. PnP
+and RANSAC find a camera that sees a share of the matches where they are, without any of the poses. Those
+matches are carried from frame to frame by either poses, and how far they miss is taken, in pixels.
 
 If the recording's own poses miss by more than the system's, an ATE measures them as much as the system's.
 *Sensors modelled* poses are judged by depth as the run has corrected it, the others by depth as it was

@@ -2,12 +2,12 @@
 
     python -m experiments.recordings [--realtime] [--out DIR] [NAME ...]
 
-Each run is a process of its own, as a user would start it, so that its time includes imports, compilation,
+Each run is a process of its own, as a user would start it. So its time includes imports, compilation,
 evaluation and report, and its memory is its own. Real recordings are found through SFGS_DATA, by default
-`../shared`. *First frame* is from the decoded frame to the end of its mapping, compilation of everything
-included; *frames/s with mapping* leaves it out, and counts the work of mapping in the loop, not that after
-the last frame. With --realtime recordings play by their own clock, mapping runs beside tracking, and
-*dropped* frames came while another was tracked; frames/s then say nothing. The table is in Markdown;
+`../shared`. *First frame* is the compilation of everything and the first frame with its mapping. *Frames/s
+with mapping* leaves it out, and counts the work of mapping in the loop, not that after the last frame. With
+--realtime recordings play by their own clock, and mapping runs beside tracking. Frames that came while
+another was tracked are *dropped*, and frames/s then say nothing. The table is in Markdown;
 experiments/results.md keeps the last one.
 """
 
