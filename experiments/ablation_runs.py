@@ -14,7 +14,7 @@ from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import Recording, prefetch
 from sfgs_jax.evaluation import ate, rpe
 from sfgs_jax.geometry import Trajectory
-from sfgs_jax.slam import SlamConfig, SlamState, follow, init
+from sfgs_jax.slam import SlamConfig, SlamState, finish, follow, init
 
 Key = tuple[str, int, int, int, str]
 
@@ -95,6 +95,7 @@ def tracked_poses(recording: Recording, config: SlamConfig) -> tuple[Float[np.nd
         if not isinstance(frame, FrameError):
             state, info, _ = follow(state, frame)
             tracked += [index] if info.tracked else []
+    state = finish(state)
     poses = np.full((len(recording), 4, 4), np.nan)
     poses[tracked] = state.trajectory.poses
     return poses, state

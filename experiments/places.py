@@ -18,7 +18,7 @@ from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import SyntheticRecording, prefetch
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam import SlamConfig, SlamState, follow, init
+from sfgs_jax.slam import SlamConfig, SlamState, finish, follow, init
 
 FRAMES = {"ring": 1000, "twins": 600, "wall": 300, "sphere": 400}
 WITH_LOOPS = SlamConfig()
@@ -48,6 +48,7 @@ def measure(place: str, seed: int, config: SlamConfig, name: str) -> tuple[str, 
     for _, frame in track(prefetch(recording), description=name, total=len(recording), transient=True):
         if not isinstance(frame, FrameError):
             state, _, _ = follow(state, frame)
+    state = finish(state)
     truth, found = recording.ground_truth, state.trajectory
     error = ate(found, truth)
     matrices = truth.poses[np.searchsorted(truth.timestamps, found.timestamps - 1e-6)]

@@ -30,7 +30,7 @@ from experiments.recordings import SOURCES
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import Recording, open_recording, prefetch
 from sfgs_jax.geometry import Camera, Frame, clean_depth, surface
-from sfgs_jax.slam import SlamConfig, TrackerParams, follow, init
+from sfgs_jax.slam import SlamConfig, TrackerParams, finish, follow, init
 from sfgs_jax.slam.frontend import with_corrected_depth
 from sfgs_jax.superfeats import extract_orb, match
 
@@ -185,6 +185,7 @@ def tracked(name: str) -> list[Poses]:
         for _, frame in prefetch(recording):
             if not isinstance(frame, FrameError):
                 state, _, _ = follow(state, frame)
+        state = finish(state)
         if truth is None or not len(state.trajectory) == len(truth.poses) == len(recording):
             raise SystemExit(f"{name}: every frame needs a pose, found and given, to be compared.")
         found.append(Poses(title, state.trajectory.poses, Corrected(recording, state.params)))

@@ -24,7 +24,7 @@ from experiments.recordings import SOURCES
 from sfgs_jax.datasets import Recording, Selection, SyntheticRecording, open_recording
 from sfgs_jax.evaluation import ate, rpe
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam import SlamConfig, SlamState, estimated_depth, estimated_timing, follow, init
+from sfgs_jax.slam import SlamConfig, SlamState, estimated_depth, estimated_timing, finish, follow, init
 
 RECORDINGS = {
     **SOURCES,
@@ -64,7 +64,7 @@ def tracked(recording: Recording, num_frames: int, *, timing: bool, depth: bool)
     state = init(recording.camera, replace(SlamConfig(), tracking=tracking))
     for number in range(min(num_frames, len(recording))):
         state = follow(state, recording[number], number=number).state
-    return state
+    return finish(state)
 
 
 def cycles(state: SlamState) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import ReaderOptions, Recording, open_recording, prefetch
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import Frame
-from sfgs_jax.slam import SlamConfig, Stopwatch, follow, init
+from sfgs_jax.slam import SlamConfig, Stopwatch, finish, follow, init
 
 WHOLE = SlamConfig()
 TRACKING, GRAPH = WHOLE.tracking, WHOLE.graph
@@ -65,7 +65,7 @@ def measure(
     for _, frame in track(prefetch(recording), description=name, total=len(recording), transient=True):
         if not isinstance(frame, FrameError):
             state, _, _ = follow(state, change(frame), stages=stopwatch)
-    truth = recording.ground_truth
+    state, truth = finish(state), recording.ground_truth
     enough = len(state.trajectory) > 2
     error = 100 * ate(state.trajectory, truth).rmse_m if truth is not None and enough else np.nan
     times = stopwatch.summary()["tracking"]

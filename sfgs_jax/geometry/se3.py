@@ -140,6 +140,11 @@ def matrices_of(parameters: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 4 
     return matrices
 
 
+def parameters_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
+    """Poses as wxyz_xyz of matrices, on the host; `matrices_of` undoes it."""
+    return np.concatenate([quaternions_from_rotations(matrices[:, :3, :3]), matrices[:, :3, 3]], axis=1)
+
+
 def adjoints_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6 6"]:
     """Ad(T) of homogeneous matrices on the host, in float64; translation first."""
     R, t = matrices[:, :3, :3], matrices[:, :3, 3]

@@ -3,6 +3,7 @@
 Users need the names of this package. Its folders export the pieces for those who compose their own system.
 """
 
+from sfgs_jax.slam._graph_results import finish as finish
 from sfgs_jax.slam._init import init as init
 from sfgs_jax.slam._presets import PRESETS as PRESETS
 from sfgs_jax.slam.config import FeaturesConfig as FeaturesConfig

@@ -12,7 +12,8 @@ import jaxlie
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Frame, se3
-from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth, with_depth_offsets
+from sfgs_jax.slam._graph_results import with_graph
+from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth
 from sfgs_jax.slam.keyframes import advance_graph, with_new_keyframes
 from sfgs_jax.slam.mapping import map_frame, view_is_due, view_of
 from sfgs_jax.slam.state import (
@@ -23,7 +24,6 @@ from sfgs_jax.slam.state import (
     View,
     mapping_factor,
     untimed,
-    with_graph_poses,
 )
 
 
@@ -98,11 +98,7 @@ def follow(
         graph = with_new_keyframes(params, before.graph, before.tracker, tracker, found, frames, config)
         grown = len(graph.keyframes) > len(before.graph.keyframes)
         graph, closed = advance_graph(params, graph, config, grown=grown)
-        if graph.poses is not before.graph.poses:
-            tracker = with_graph_poses(tracker, graph)
-        if graph.offsets is not before.graph.offsets:
-            params, tracker = with_depth_offsets(params, tracker, graph.offsets)
-        state = replace(state, graph=graph, tracker=tracker, params=params)
+        state = with_graph(state, graph)
     keyframe, T_keyframe_cam = _place_in_graph(state, found, info)
     log = state.log.with_frame(float(frame.timestamp), number, keyframe, T_keyframe_cam)
     view, recent = None, [k.frame for k in graph.keyframes[-2:]]

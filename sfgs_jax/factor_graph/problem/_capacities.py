@@ -7,6 +7,12 @@ from sfgs_jax.arrays import bucket, check_counts, doubled, rounded_up
 CLUSTER_LANDMARKS = 32
 """Landmarks in a cluster: 96 rows, enough for products to run at full speed."""
 
+CLUSTER_POSES = 20
+"""Poses of a cluster, unless a landmark is seen by more."""
+
+_SPARE = 1.25
+"""Room for clusters that have all their poses before they have all their landmarks, as a factor."""
+
 BatchSize = tuple[int, int]
 """Own and boundary poses that each front of a batch has room for."""
 
@@ -32,15 +38,16 @@ class Capacities:
 
     @classmethod
     def for_window(cls, *, landmarks: int, poses: int) -> "Capacities":
-        """Capacities of a window of fixed size, in which any pose may see any landmark.
+        """Capacities of a window of fixed size, whose landmarks few of its poses see, if it has many.
 
         Args:
             landmarks: most landmarks of a window.
             poses: most poses of a window.
         """
-        return cls(
-            clusters=rounded_up(landmarks, CLUSTER_LANDMARKS) // CLUSTER_LANDMARKS, cluster_poses=poses
-        )
+        clusters = rounded_up(landmarks, CLUSTER_LANDMARKS) // CLUSTER_LANDMARKS
+        if poses <= CLUSTER_POSES:
+            return cls(clusters=clusters, cluster_poses=poses)
+        return cls(clusters=int(_SPARE * clusters), cluster_poses=CLUSTER_POSES)
 
 
 def capacity_for(count: int, given: int) -> int:

@@ -31,10 +31,12 @@ class GraphConfig:
     """Waiting registrations for which one more is done after a frame."""
     kernel_width: float = 3.0
     """Width of a registration's Huber kernel, standard deviations."""
-    window: int = 8
-    """Newest keyframes in the local bundle adjustment; 0 leaves it out."""
-    max_landmarks: int = 2048
-    """Landmarks in the local bundle adjustment, the most often seen first."""
+    window: int = 60
+    """Keyframes that are adjusted together, with their landmarks; 0 leaves the landmarks out."""
+    adjustment_frames: int = 4
+    """Frames after which an adjustment's results are taken; meanwhile they are computed."""
+    max_landmarks: int = 4096
+    """Landmarks that are adjusted, the most often seen first."""
     loops: bool = True
     """Whether loops are closed."""
     loop_candidates: int = 2
@@ -70,7 +72,16 @@ class GraphConfig:
         check_counts(self, 1, "registrations_per_frame", "backlog", "max_landmarks", "loop_support")
         check_counts(self, 2, "capacity")
         check_counts(self, self.loop_support, "max_loop_candidates")
-        check_counts(self, 0, "num_neighbours", "window", "loop_candidates", "loop_gap", "loop_inliers")
+        check_counts(
+            self,
+            0,
+            "num_neighbours",
+            "window",
+            "adjustment_frames",
+            "loop_candidates",
+            "loop_gap",
+            "loop_inliers",
+        )
         check_counts(self, 0, "relocalisation_candidates", "relocalisation_inliers")
         check_positive(self, "edge_sigma_metres", "edge_sigma_radians", "kernel_width")
         check_range(self, 0, math.inf, "neighbour_distance", "neighbour_angle", "max_correction")

@@ -9,10 +9,16 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from sfgs_jax.factor_graph import RelativePose
-from sfgs_jax.geometry import Kernel
+from sfgs_jax.geometry import Kernel, se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.state._keyframe_graph import Edge
-from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.slam.state._registration import PoseSource, Registration
+
+_METRES, _RADIANS = 0.01, 0.007
+"""Errors that count as alike: a turn by the second moves what is 1.5 m away by the first."""
+_LEAST_SHARE = 1e-4
+"""Least information of a direction that the surface fixes, as a share of the largest: a hundred times the
+deviation. Beyond it float32 leaves little of the gradient."""
 
 
 def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
@@ -29,6 +35,7 @@ def edge_of(target: int, source: int, found: Registration, config: GraphConfig) 
         source=source,
         T_target_source=np.asarray(found.T_target_source.wxyz_xyz),
         information=_with_systematic_error(np.asarray(found.information, np.float64), config),
+        surface_motion=_surface_motion(found),
         surface_information=_with_systematic_error(np.asarray(found.surface_information, np.float64), config),
         revisit=source - target > config.loop_gap,
         loop=False,
@@ -46,6 +53,30 @@ def systematic_variances(config: GraphConfig) -> Float[np.ndarray, "6"]:
         config: settings.
     """
     return np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3) ** 2
+
+
+def _surface_motion(found: Registration) -> Float[np.ndarray, "7"]:
+    """The motion at which the surface's own residuals are least, without the pull of the keypoints.
+
+    At the motion found, the gradients of surface and keypoints cancel. The keypoints' gradient is known from
+    their own optimum, so the surface's is too, and a Newton step leads to its optimum. Directions that the
+    surface leaves free stay as they are.
+    """
+    motion = np.asarray(found.T_target_source.wxyz_xyz)
+    if int(found.source) != PoseSource.JOINT:
+        return motion
+    by_keypoints, joint = (
+        se3.matrices_of(np.asarray(T.wxyz_xyz)[None])[0].astype(np.float64)
+        for T in (found.matched.T_target_source, found.T_target_source)
+    )
+    off = se3.logs_of((np.linalg.inv(by_keypoints) @ joint)[None])[0]
+    gradient = np.asarray(found.matched.information, np.float64) @ off
+    # In units in which a registration errs alike in all directions, eigenvalues can be compared.
+    units = np.repeat([_METRES, _RADIANS], 3)
+    values, vectors = np.linalg.eigh(units[:, None] * np.asarray(found.surface_information, float) * units)
+    fixed = values > _LEAST_SHARE * values[-1]
+    shares = np.where(fixed, vectors.T @ (units * gradient) / np.where(fixed, values, 1), 0)
+    return _shifted(motion[None], (units * (vectors @ shares))[None])[0].astype(np.float32)
 
 
 def _with_systematic_error(
@@ -76,7 +107,7 @@ def relative_poses(
         capacity: rows of the block.
         offsets: of the depth correction that the motions should be for; each one's own if not given.
         first: number of the keyframe that is pose 0 of the problem.
-        surface_only: whether the edges weigh by the surface's information alone.
+        surface_only: whether to take what the surface alone says.
         kernel: robust kernel.
         kernel_width: its width, standard deviations.
     """
@@ -86,7 +117,7 @@ def relative_poses(
     information = np.tile(np.eye(6, dtype=np.float32), (capacity, 1, 1))
     for row, edge in enumerate(edges):
         poses[row] = edge.target - first, edge.source - first
-        motions[row] = edge.T_target_source
+        motions[row] = edge.surface_motion if surface_only else edge.T_target_source
         information[row] = edge.surface_information if surface_only else edge.information
     if offsets is not None and len(offsets) and count:
         shifts = np.stack([edge.sensitivity @ (offsets - edge.offsets) for edge in edges])

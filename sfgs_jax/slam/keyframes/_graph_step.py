@@ -1,5 +1,6 @@
 """The graph's work after a frame: a few registrations, and once none is left, its optimisation."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jaxlie
@@ -10,15 +11,24 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import features_in_use
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_edge, supports_loop
+from sfgs_jax.slam.keyframes._deferred_adjustment import (
+    with_adjustment_begun,
+    with_adjustment_taken,
+    with_frame_passed,
+)
 from sfgs_jax.slam.keyframes._depth_estimate import with_new_offsets, with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
-from sfgs_jax.slam.keyframes._local_bundle_adjustment import optimise_window
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, travelled, with_candidate
-from sfgs_jax.slam.keyframes._pose_graph import optimise_poses
+from sfgs_jax.slam.keyframes._pose_graph import bend, optimise_poses
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
+
+_MOST_ADJUSTMENTS = 10
+"""Adjustments at the end of a run, at most."""
+_STILL = 2e-4
+"""Change of a pose, metres or of its quaternion, below which it counts as still."""
 
 
 def advance_graph(
@@ -37,7 +47,8 @@ def advance_graph(
     """
     if not config.enabled:
         return graph, False
-    closed, waited = False, bool(graph.pending)
+    graph = with_frame_passed(graph)
+    closed, waited, known = False, bool(graph.pending), len(graph.edges)
     # A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster.
     for _ in range(max(config.registrations_per_frame, len(graph.pending) // config.backlog)):
         if not graph.pending:
@@ -45,9 +56,45 @@ def advance_graph(
         graph, closed_now = _register_next(params, graph, config)
         closed |= closed_now
     if closed or (not graph.pending and (waited or grown)):
-        graph = with_new_offsets(params, graph)
-        graph = optimise_window(params, optimise_poses(graph, config), config)
+        loops = [edge for edge in graph.edges[known:] if edge.loop]
+        graph = _optimised(params, with_new_offsets(params, graph), config, loops)
     return graph, closed
+
+
+def settled(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
+    """The graph adjusted until that changes little.
+
+    Args:
+        params: parameters of tracking.
+        graph: before.
+        config: settings.
+    """
+    if not config.enabled or not _has_landmarks(params, config):
+        return graph
+    graph = with_adjustment_taken(graph)
+    for _ in range(_MOST_ADJUSTMENTS):
+        before = graph.poses
+        graph = with_adjustment_taken(with_adjustment_begun(params, graph, config))
+        if np.abs(graph.poses - before).max(initial=0) < _STILL:
+            break
+    return graph
+
+
+def _has_landmarks(params: TrackerParams, config: GraphConfig) -> bool:
+    return config.window > 1 and params.config.features.kind != "none"
+
+
+def _optimised(
+    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, loops: Sequence[Edge]
+) -> KeyframeGraph:
+    """The graph with its keyframes where registrations, landmarks and newly closed loops want them.
+
+    The landmarks' part is only begun.
+    """
+    if not _has_landmarks(params, config):
+        return optimise_poses(graph, config)
+    graph = with_adjustment_taken(graph)
+    return with_adjustment_begun(params, bend(graph, config, loops) if loops else graph, config)
 
 
 def _register_next(

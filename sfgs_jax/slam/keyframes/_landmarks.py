@@ -3,16 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Float, Int
 
-from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph, Landmarks
 from sfgs_jax.slam.state._registration import Registration
 
 
 def share_landmarks(graph: KeyframeGraph, target: int, source: int, found: Registration) -> KeyframeGraph:
     """The graph in which the matched keypoints of two keyframes show the same landmarks.
 
-    A keypoint that shows a landmark already hands it on; the others start one.
+    A keypoint that shows a landmark already hands it on; the others start one. A landmark lies where the
+    first keyframe that measured its depth saw it, until an adjustment moves it.
 
     Args:
         graph: before.
@@ -25,7 +27,7 @@ def share_landmarks(graph: KeyframeGraph, target: int, source: int, found: Regis
     in_a, in_b = set(a), set(b)
     slots_b = np.flatnonzero(np.asarray(found.matched.inliers))
     slots_a = np.asarray(found.matched.index)[slots_b]
-    number = graph.num_landmarks
+    number = len(graph.landmarks)
     # A landmark has one place in an image.
     for slot_a, slot_b in zip(slots_a.tolist(), slots_b.tolist(), strict=True):
         if b[slot_b] >= 0:
@@ -43,26 +45,73 @@ def share_landmarks(graph: KeyframeGraph, target: int, source: int, found: Regis
     keyframes = list(graph.keyframes)
     keyframes[target] = replace(keyframes[target], landmarks=np.asarray(a, int))
     keyframes[source] = replace(keyframes[source], landmarks=np.asarray(b, int))
-    return replace(graph, keyframes=tuple(keyframes), num_landmarks=number)
+    landmarks = _with_room(graph.landmarks, number)
+    for place in (target, source):
+        landmarks = _with_measured(landmarks, place, keyframes[place])
+    return replace(graph, keyframes=tuple(keyframes), landmarks=landmarks)
+
+
+def _with_room(landmarks: Landmarks, number: int) -> Landmarks:
+    """The landmarks with others after them that have no place yet."""
+    more = number - len(landmarks)
+    return Landmarks(
+        np.pad(landmarks.keyframes, (0, more), constant_values=-1),
+        np.pad(landmarks.points, ((0, more), (0, 0))),
+    )
+
+
+def _with_measured(landmarks: Landmarks, number: int, keyframe: Keyframe) -> Landmarks:
+    """The landmarks, those without a place where a keyframe measured them."""
+    shown, keypoints = keyframe.landmarks, keyframe.features.keypoints
+    new = (shown >= 0) & (np.asarray(keypoints.depth) > 0)
+    new &= landmarks.keyframes[np.maximum(shown, 0)] < 0
+    keyframes, points = landmarks.keyframes.copy(), landmarks.points.copy()
+    keyframes[shown[new]], points[shown[new]] = number, np.asarray(keypoints.points)[new]
+    return Landmarks(keyframes, points)
+
+
+def positions(graph: KeyframeGraph, numbers: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """World coordinates of some landmarks, metres; anything for one that has no place.
+
+    Args:
+        graph: that holds them.
+        numbers: of the landmarks.
+    """
+    T = se3.matrices_of(graph.poses)[graph.landmarks.keyframes[numbers]]
+    return np.einsum("nij,nj->ni", T[:, :3, :3], graph.landmarks.points[numbers]) + T[:, :3, 3]
+
+
+def with_positions(
+    graph: KeyframeGraph, numbers: Int[np.ndarray, " n"], found: Float[np.ndarray, "n 3"]
+) -> KeyframeGraph:
+    """The graph with some landmarks elsewhere.
+
+    Args:
+        graph: before, its keyframes where they are now.
+        numbers: of landmarks that have a place.
+        found: their world coordinates, metres.
+    """
+    T = se3.matrices_of(graph.poses)[graph.landmarks.keyframes[numbers]]
+    points = graph.landmarks.points.copy()
+    points[numbers] = np.einsum("nji,nj->ni", T[:, :3, :3], found - T[:, :3, 3])
+    return replace(graph, landmarks=replace(graph.landmarks, points=points))
 
 
 def most_seen(
-    landmarks: Int[np.ndarray, "w k"], capacity: int
-) -> tuple[Int[np.ndarray, "w k"], Bool[np.ndarray, "w k"]]:
-    """Landmarks seen at least twice, counted anew from 0, the most often seen first.
+    landmarks: Int[np.ndarray, " n"], capacity: int
+) -> tuple[Int[np.ndarray, " l"], Int[np.ndarray, " n"]]:
+    """Landmarks seen at least twice, the most often seen first.
 
     Args:
-        landmarks: number of the landmark that each keypoint shows, -1 where it shows none.
+        landmarks: number of the landmark of each of n observations.
         capacity: landmarks that are kept.
 
     Returns:
-        The new number for each keypoint, and which keypoints show one of those kept.
+        The numbers of those kept, and for each observation its landmark's place among them, or -1.
     """
     numbers, inverse, counts = np.unique(landmarks, return_inverse=True, return_counts=True)
-    counts[numbers < 0] = 0
     kept = np.argsort(-counts, kind="stable")[:capacity]
     kept = kept[counts[kept] > 1]
-    place = np.full(len(numbers), -1, np.int32)
+    place = np.full(len(numbers), -1)
     place[kept] = np.arange(len(kept))
-    index = place[inverse].reshape(landmarks.shape)
-    return np.maximum(index, 0), index >= 0
+    return numbers[kept], place[inverse]

@@ -9,6 +9,7 @@ import numpy as np
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.geometry import Camera, Frame, Trajectory
 from sfgs_jax.sensors import SensorModel
+from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.mapping import (
@@ -198,6 +199,8 @@ def run(
             gaussians = result.state.mapping.num_gaussians
             observer(Progress("frames", result.num_frames, gaussians, skipped, info, result))
             _check_skipped(result)
+        with result.stopwatch("graph"):
+            result.state = finish(result.state)
         _end_mapping(result, worker)
         _refine(result, observer)
     except KeyboardInterrupt:

@@ -21,10 +21,10 @@ from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import feature_shapes
 from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
-from sfgs_jax.slam.state import Edge, Keyframe, MapState, SlamState, View
+from sfgs_jax.slam.state import Adjustment, Edge, Keyframe, MapState, SlamState, View
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -53,6 +53,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         "edges": len(state.graph.edges),
         "pending": len(state.graph.pending),
         "candidates": len(state.graph.candidates),
+        "adjustments": 0 if state.graph.adjustment is None else 1,
         "views": len(state.mapping.views),
     }
     metadata = {
@@ -216,7 +217,7 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     motion, matrix = np.zeros(7, np.float32), np.zeros((6, 6), np.float32)
     offsets = state.graph.offsets
     sensitivity = np.zeros((6, len(offsets)))
-    edge = Edge(0, 0, motion, matrix, matrix, False, False, offsets, sensitivity)
+    edge = Edge(0, 0, motion, matrix, motion, matrix, False, False, offsets, sensitivity)
     shapes = feature_shapes(state.params)
     keyframe = _bare_keyframe(Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets))
     view = _bare_view(View(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32), 0, se3.identity(), 0))
@@ -226,8 +227,14 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
         edges=(edge,) * counts["edges"],
         pending=((0, 0),) * counts["pending"],
         candidates=(edge,) * counts["candidates"],
+        adjustment=_blank_adjustment() if counts["adjustments"] else None,
     )
     return replace(state, graph=graph, mapping=replace(state.mapping, views=(view,) * counts["views"]))
+
+
+def _blank_adjustment() -> Adjustment:
+    numbers = np.zeros(0, np.int64)
+    return Adjustment(numbers, numbers, jnp.zeros((0, 7)), jnp.zeros((0, 3)), jnp.asarray(0), 0)
 
 
 def _bare_keyframe(keyframe: Keyframe) -> Keyframe:

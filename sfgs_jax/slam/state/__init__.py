@@ -13,6 +13,7 @@ from sfgs_jax.slam.state._gaussian_map import GaussianMap as GaussianMap
 from sfgs_jax.slam.state._gaussian_map import empty_map as empty_map
 from sfgs_jax.slam.state._gaussian_map import grow as grow
 from sfgs_jax.slam.state._gaussian_map import move as move
+from sfgs_jax.slam.state._keyframe_graph import Adjustment as Adjustment
 from sfgs_jax.slam.state._keyframe_graph import Edge as Edge
 from sfgs_jax.slam.state._keyframe_graph import Keyframe as Keyframe
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph as KeyframeGraph

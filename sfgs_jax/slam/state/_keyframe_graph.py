@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import jaxlie
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import pytree
 from sfgs_jax.slam.state._depth_information import DepthInformation, no_depth_information
@@ -43,7 +43,8 @@ class Edge:
         source: number of the keyframe registered, the later one.
         T_target_source: (7,) the motion found, as wxyz_xyz.
         information: (6, 6) of its tangent, by surface and keypoints.
-        surface_information: (6, 6) by the surface alone.
+        surface_motion: (7,) the motion by the surface alone.
+        surface_information: (6, 6) of its tangent.
         revisit: whether it ties a place seen again to the keyframes from before, however small the drift.
         loop: whether it was accepted by its consistency with other loops.
         offsets: (G,) of the depth correction that it was found with, 1/m.
@@ -54,11 +55,55 @@ class Edge:
     source: int
     T_target_source: Float[np.ndarray, "7"]
     information: Float[np.ndarray, "6 6"]
+    surface_motion: Float[np.ndarray, "7"]
     surface_information: Float[np.ndarray, "6 6"]
     revisit: bool
     loop: bool
     offsets: Float[np.ndarray, " G"]
     sensitivity: Float[np.ndarray, "6 G"]
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Places of the landmarks, each in a keyframe, with which it moves.
+
+    Attributes:
+        keyframes: (L,) number of the keyframe; -1 for a landmark whose depth nobody has measured.
+        points: (L, 3) in the camera of that keyframe, metres.
+    """
+
+    keyframes: Int[np.ndarray, " L"]
+    points: Float[np.ndarray, "L 3"]
+
+    def __len__(self) -> int:
+        """Landmarks numbered so far."""
+        return len(self.keyframes)
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """An adjustment that has been started; its results are taken some frames later.
+
+    They are arrays that may still be computed while the next frames are tracked. When they are taken is
+    counted in frames, so that a run repeats itself to the bit however fast the machine is.
+
+    Attributes:
+        members: (W,) number of the keyframe of each pose; -1 where unused.
+        landmarks: (L,) number of each landmark; -1 where unused.
+        poses: (W, 7) poses found, as wxyz_xyz.
+        points: (L, 3) landmarks found, world coordinates in metres.
+        status: a `factor_graph.Status`; there is no result if it is `DIVERGED`.
+        frames_left: frames until the results are taken.
+    """
+
+    members: Int[np.ndarray, " W"]
+    landmarks: Int[np.ndarray, " L"]
+    poses: Float[Array, "W 7"]
+    points: Float[Array, "L 3"]
+    status: Int[Array, ""]
+    frames_left: int
 
 
 @pytree
@@ -72,7 +117,8 @@ class KeyframeGraph:
         edges: registrations that were accepted.
         pending: pairs (target, source) still to be registered, the next one first.
         candidates: registrations that may be loops, and wait for others that agree.
-        num_landmarks: landmarks numbered so far.
+        landmarks: places of the landmarks.
+        adjustment: one that has been started and whose results have not been taken, if there is one.
         depth: what the registrations said about the distortion of depth.
         offsets: (G,) of the depth correction that the poses are for, 1/m.
     """
@@ -82,7 +128,8 @@ class KeyframeGraph:
     edges: tuple[Edge, ...]
     pending: tuple[tuple[int, int], ...]
     candidates: tuple[Edge, ...]
-    num_landmarks: int
+    landmarks: Landmarks
+    adjustment: Adjustment | None
     depth: DepthInformation
     offsets: Float[np.ndarray, " G"]
 
@@ -112,7 +159,8 @@ def empty_graph(offsets: Float[np.ndarray, " G"]) -> KeyframeGraph:
         edges=(),
         pending=(),
         candidates=(),
-        num_landmarks=0,
+        landmarks=Landmarks(np.zeros(0, int), np.zeros((0, 3))),
+        adjustment=None,
         depth=no_depth_information(offsets),
         offsets=offsets,
     )

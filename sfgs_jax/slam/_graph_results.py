@@ -1,0 +1,38 @@
+"""What the graph of keyframes has found reaches the state: after each frame, and at the end of a run."""
+
+from dataclasses import replace
+
+from sfgs_jax.slam.frontend import with_depth_offsets
+from sfgs_jax.slam.keyframes import advance_graph, settled
+from sfgs_jax.slam.state import KeyframeGraph, SlamState, with_graph_poses
+
+
+def with_graph(state: SlamState, graph: KeyframeGraph) -> SlamState:
+    """The state with another graph; the tracker's references move with its keyframes.
+
+    Args:
+        state: before.
+        graph: the state's, after some more work.
+    """
+    params, tracker = state.params, state.tracker
+    if graph.poses is not state.graph.poses:
+        tracker = with_graph_poses(tracker, graph)
+    if graph.offsets is not state.graph.offsets:
+        params, tracker = with_depth_offsets(params, tracker, graph.offsets)
+    return replace(state, graph=graph, tracker=tracker, params=params)
+
+
+def finish(state: SlamState) -> SlamState:
+    """The state at the end of a run: all waiting pairs of keyframes registered, the keyframes adjusted.
+
+    While frames come, few pairs are registered after each, and an adjustment takes few iterations. More
+    frames may follow.
+
+    Args:
+        state: after the last frame.
+    """
+    config = state.config.graph
+    while state.graph.pending:
+        graph, _ = advance_graph(state.params, state.graph, config, grown=False)
+        state = with_graph(state, graph)
+    return with_graph(state, settled(state.params, state.graph, config))

@@ -1,0 +1,220 @@
+"""Adjustment of the graph: keyframes and landmarks by all that surfaces and keypoints say about them."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from sfgs_jax.factor_graph import (
+    Capacities,
+    FactorGraph,
+    PosePrior,
+    RgbdReprojection,
+    Solution,
+    SolverConfig,
+    Values,
+    solve,
+)
+from sfgs_jax.sensors import corrected_depth, grid_shares
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.keyframes._edges import relative_poses
+from sfgs_jax.slam.keyframes._landmarks import most_seen, positions
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._tracker import TrackerParams
+
+_SOLVER = SolverConfig(max_iterations=4, cost_tolerance=1e-3)
+"""An adjustment starts where the one before ended, so that a few iterations are enough. The last thousandth
+of the cost takes half of them and moves poses by tenths of a millimetre."""
+_OBSERVATIONS = 4
+"""Room for observations, per landmark."""
+_LOOSE = 1.0
+"""Deviation of the prior that keeps a keyframe without residuals in its place, metres and radians."""
+
+
+class Window(eqx.Module):
+    """The problem of an adjustment, padded to fixed shapes.
+
+    Attributes:
+        graph: reprojections of the landmarks, the surfaces' registrations between the keyframes, and loops.
+        values: poses and landmarks to start from.
+        members: (W,) number of the keyframe of each pose; -1 where unused.
+        landmarks: (L,) number of each landmark; -1 where unused.
+        offsets: (W, G) by how much the depth correction has changed since the depth of each keyframe's
+            keypoints was measured, 1/m.
+    """
+
+    graph: FactorGraph
+    values: Values
+    members: Int[Array | np.ndarray, " W"]
+    landmarks: Int[Array | np.ndarray, " L"]
+    offsets: Float[Array | np.ndarray, "W G"]
+
+
+@jax.jit
+def adjust(params: TrackerParams, window: Window) -> Solution:
+    """Poses and landmarks of a window: GICP's registrations and reprojections in one Levenberg-Marquardt.
+
+    A pure function on pytrees of fixed shapes, compiled once. SFGS-SLAM (Wang and Deng, 2025), section 3.3.
+
+    Args:
+        params: parameters of tracking; the camera's intrinsics are those of every reprojection.
+        window: from `window_of`.
+    """
+    seen = _reprojections(window.graph)
+    depth = seen.depth
+    if window.offsets.shape[1]:
+        shares = grid_shares(seen.pixels, params.camera)
+        changes = jnp.asarray(window.offsets)[jnp.asarray(seen.poses)[:, 0]].T
+        depth = corrected_depth(depth, jnp.sum(shares * changes, axis=0))
+    graph = eqx.tree_at(
+        lambda g: (_reprojections(g).camera, _reprojections(g).depth), window.graph, (params.camera, depth)
+    )
+    return solve(graph, window.values, config=_SOLVER)
+
+
+def _reprojections(graph: FactorGraph) -> RgbdReprojection:
+    return next(f for f in graph.factors if isinstance(f, RgbdReprojection))
+
+
+def window_of(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> Window:
+    """The window around the newest keyframe: all keyframes, where there are few enough.
+
+    What keeps it in place is the first keyframe, and the keyframes that are tied to others outside.
+
+    Args:
+        params: parameters of tracking.
+        graph: with at least two keyframes.
+        config: settings.
+    """
+    size = config.window
+    members = _members(graph, size)
+    count = len(members)
+    place = np.full(len(graph.keyframes), -1)
+    place[members] = np.arange(count)
+    observations, landmarks = _observations(params, graph, config, members)
+    points = np.zeros((config.max_landmarks, 3), np.float32)
+    points[: len(landmarks)] = positions(graph, landmarks)
+    poses = np.pad(graph.poses[members], ((0, size - count), (0, 0)), mode="edge")
+    problem = FactorGraph(
+        [observations, *_registrations(graph, config, place), _loose_prior(poses)],
+        num_poses=size,
+        num_landmarks=config.max_landmarks,
+        free_poses=_free(graph, place, members, size),
+        free_landmarks=np.arange(config.max_landmarks) < len(landmarks),
+        linear_solver="dense",
+        capacities=Capacities.for_window(landmarks=config.max_landmarks, poses=size),
+    )
+    offsets = np.zeros((size, len(graph.offsets)), np.float32)
+    offsets[:count] = [graph.offsets - graph.keyframes[number].offsets for number in members]
+    return Window(
+        problem,
+        Values(jaxlie.SE3(jnp.asarray(poses)), jnp.asarray(points)),
+        np.pad(members, (0, size - count), constant_values=-1),
+        np.pad(landmarks, (0, config.max_landmarks - len(landmarks)), constant_values=-1),
+        offsets,
+    )
+
+
+def _members(graph: KeyframeGraph, size: int) -> Int[np.ndarray, " w"]:
+    """Numbers of the keyframes with the fewest edges between them and the newest; of these the newest."""
+    count = len(graph.keyframes)
+    tied: list[set[int]] = [set() for _ in range(count)]
+    for edge in graph.edges:
+        tied[edge.target].add(edge.source)
+        tied[edge.source].add(edge.target)
+    reached, ring = [count - 1], {count - 1}
+    known = {count - 1}
+    while ring and len(reached) < size:
+        ring = set().union(*(tied[number] for number in ring)) - known
+        known |= ring
+        reached += sorted(ring, reverse=True)
+    return np.sort(np.asarray(reached[:size]))
+
+
+def _free(
+    graph: KeyframeGraph, place: Int[np.ndarray, " n"], members: Int[np.ndarray, " w"], size: int
+) -> Bool[np.ndarray, " W"]:
+    """Poses that move: those of keyframes that are tied to no keyframe outside, but for the first."""
+    free = np.zeros(size, bool)
+    free[: len(members)] = members > 0
+    for edge in graph.edges:
+        a, b = place[edge.target], place[edge.source]
+        if (a < 0) != (b < 0):
+            free[max(a, b)] = False
+    if not (~free[: len(members)]).any():
+        free[0] = False
+    return free
+
+
+def _registrations(graph: KeyframeGraph, config: GraphConfig, place: Int[np.ndarray, " n"]) -> list:
+    """Registrations between members by the surface alone, since the keypoints' share is the landmarks'.
+
+    Loops have no landmarks in common with what they close to, so that they count whole.
+    """
+    inside = [
+        replace(edge, target=int(place[edge.target]), source=int(place[edge.source]))
+        for edge in graph.edges
+        if place[edge.target] >= 0 and place[edge.source] >= 0
+    ]
+    surfaces, loops = ([edge for edge in inside if edge.loop == loop] for loop in (False, True))
+    room = config.window * (config.num_neighbours + 1)
+    return [
+        relative_poses(
+            surfaces[-room:],
+            room,
+            offsets=graph.offsets,
+            surface_only=True,
+            kernel="huber",
+            kernel_width=config.kernel_width,
+        ),
+        relative_poses(
+            loops[-config.window :],
+            config.window,
+            offsets=graph.offsets,
+            kernel="dynamic_covariance_scaling",
+            kernel_width=config.kernel_width,
+        ),
+    ]
+
+
+def _observations(
+    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, members: Int[np.ndarray, " w"]
+) -> tuple[RgbdReprojection, Int[np.ndarray, " l"]]:
+    """Reprojections of the members' landmarks, and the numbers of these."""
+    keyframes = [graph.keyframes[number] for number in members]
+    shown = np.stack([keyframe.landmarks for keyframe in keyframes])
+    placed = (shown >= 0) & (graph.landmarks.keyframes[np.maximum(shown, 0)] >= 0)
+    row, slot = np.nonzero(placed)
+    numbers, index = most_seen(shown[row, slot], config.max_landmarks)
+    # The most often seen landmarks first: where there are too many observations, the others lose theirs.
+    order = np.argsort(np.where(index >= 0, index, config.max_landmarks), kind="stable")
+    room = _OBSERVATIONS * config.max_landmarks
+    order = order[: min(room, int((index >= 0).sum()))]
+    row, slot, index = row[order], slot[order], index[order]
+    pixels = np.stack([np.asarray(k.features.keypoints.features.keypoints) for k in keyframes])[row, slot]
+    depth = np.stack([np.asarray(k.features.keypoints.depth) for k in keyframes])[row, slot]
+    padding = room - len(order)
+    features = params.config.features
+    correlation = np.sqrt(features.correlation)
+    observations = RgbdReprojection(
+        np.pad(row, (0, padding)),
+        np.pad(index, (0, padding)),
+        np.pad(pixels, ((0, padding), (0, 0))),
+        np.pad(depth, (0, padding)),
+        params.camera,
+        sigma=features.pixel_sigma * correlation,
+        inverse_depth_sigma=features.inverse_depth_sigma * correlation,
+        valid=np.arange(room) < len(order),
+        kernel="geman_mcclure",
+        kernel_width=features.kernel_width,
+    )
+    return observations, numbers
+
+
+def _loose_prior(poses: Float[np.ndarray, "W 7"]) -> PosePrior:
+    """Priors so weak that they matter only where there is nothing else."""
+    return PosePrior(np.arange(len(poses)), jaxlie.SE3(jnp.asarray(poses)), jnp.eye(6) / _LOOSE**2)
