@@ -111,14 +111,17 @@ def test_keyframes_are_views_however_fast_they_come(hasty_run):
 
 def test_adjust_finds_the_same_window_from_another_start(hasty_run, config, rng):
     """Poses and landmarks come back from 5 mm and 5 mrad away, the first pose stays, the cost falls."""
-    state = hasty_run
+    state = slam.finish(hasty_run)
     window = slam.window_of(state.params, state.graph, config.graph)
     expected = slam.adjust(state.params, window)
     tangents = 0.005 * rng.normal(size=(len(window.values.poses.wxyz_xyz), 6))
-    tangents[0] = 0
+    tangents[~window.graph.free_poses] = 0
     shaken = se3.compose(window.values.poses, se3.exp(jnp.asarray(tangents, jnp.float32)))
     window = eqx.tree_at(lambda w: w.values.poses, window, shaken)
     found = slam.adjust(state.params, window)
+    for _ in range(3):
+        window = eqx.tree_at(lambda w: w.values, window, found.values)
+        found = slam.adjust(state.params, window)
     assert float(found.cost) < 1.01 * float(expected.cost) + 1e-3
     poses = found.values.poses.wxyz_xyz
     np.testing.assert_allclose(poses, expected.values.poses.wxyz_xyz, atol=5e-4)

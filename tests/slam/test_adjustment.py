@@ -1,0 +1,175 @@
+"""Adjustment of keyframes and landmarks: what it is made of, when its results are taken, where it ends."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+from registrations import registration
+
+from sfgs_jax import slam
+from sfgs_jax.factor_graph import RelativePose, Status
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.keyframes import (
+    edge_of,
+    positions,
+    with_adjustment_begun,
+    with_adjustment_taken,
+    with_frame_passed,
+    with_positions,
+)
+from sfgs_jax.slam.state import Adjustment, Landmarks
+
+
+@pytest.fixture(scope="module")
+def run(room, frames, config):
+    """The run after five frames so far apart that each became a keyframe, none of them adjusted."""
+    state = slam.init(room.camera, replace(config, graph=replace(config.graph, adjustment_frames=100)))
+    for number, index in enumerate((0, 3, 5, 8, 10)):
+        state, _ = slam.step(state, frames[index], number=number)
+    return state
+
+
+def information(rng):
+    root = rng.normal(size=(6, 6))
+    scale = np.repeat([300.0, 500.0], 3)
+    return scale[:, None] * (root @ root.T + 0.1 * np.eye(6)) * scale
+
+
+def test_an_edge_knows_where_the_surface_alone_is_at_rest(config, rng):
+    """Two quadratic costs with optima some millimetres apart, and their joint optimum: each can be told."""
+    by_surface, by_keypoints = information(rng), information(rng)
+    apart = rng.normal(scale=2e-3, size=6)
+    # In the tangent at the surface's optimum, where the keypoints' is `apart`.
+    joint = np.linalg.solve(by_surface + by_keypoints, by_keypoints @ apart)
+    surface_optimum = se3.exp(jnp.asarray([0.1, -0.2, 0.05, 0.1, 0.2, -0.1]))
+    at = [se3.compose(surface_optimum, se3.exp(jnp.asarray(x, jnp.float32))) for x in (joint, apart)]
+    found = registration(at[0])
+    found = replace(
+        found,
+        surface_information=jnp.asarray(by_surface, jnp.float32),
+        matched=replace(
+            found.matched, T_target_source=at[1], information=jnp.asarray(by_keypoints, jnp.float32)
+        ),
+    )
+    edge = edge_of(0, 1, found, config.graph)
+    off = se3.log(se3.compose(se3.inverse(surface_optimum), jaxlie.SE3(jnp.asarray(edge.surface_motion))))
+    assert np.linalg.norm(joint) > 5e-4
+    assert np.linalg.norm(off) < 0.1 * np.linalg.norm(joint)
+
+
+def test_a_direction_that_the_surface_leaves_free_stays_as_it_was_found(config):
+    """A wall fixes no motion along it: there the surface has no optimum of its own."""
+    wall = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-3])
+    shifted = se3.exp(jnp.asarray([0.02, 0.0, 0.001, 0.0, 0.0, 0.0]))
+    found = registration(se3.identity())
+    found = replace(
+        found,
+        surface_information=jnp.asarray(wall, jnp.float32),
+        matched=replace(found.matched, T_target_source=shifted, information=1e6 * jnp.eye(6)),
+    )
+    motion = edge_of(0, 1, found, config.graph).surface_motion
+    np.testing.assert_allclose(motion[4:], [0, 0, -0.001], atol=2e-5)
+
+
+def test_landmarks_move_with_their_keyframes(run):
+    graph, numbers = run.graph, np.arange(10)
+    before = positions(graph, numbers)
+    shift = np.zeros_like(graph.poses)
+    shift[:, 4:] = [1.0, 2.0, 3.0]
+    after = positions(replace(graph, poses=graph.poses + shift), numbers)
+    np.testing.assert_allclose(after, before + shift[:1, 4:], atol=1e-5)
+    np.testing.assert_allclose(positions(with_positions(graph, numbers, before + 0.1), numbers), before + 0.1)
+
+
+def test_each_match_counts_once(run, config):
+    """Edges between keyframes weigh by the surface alone, and keypoints by the landmarks that they show."""
+    window = slam.window_of(run.params, run.graph, config.graph)
+    seen, surfaces, loops, _ = window.graph.factors
+    assert isinstance(surfaces, RelativePose)
+    shown = sum(int((k.landmarks >= 0).sum()) for k in run.graph.keyframes[-config.graph.window :])
+    assert 20 < int(seen.valid.sum()) <= shown
+    inside = [e for e in run.graph.edges if min(e.target, e.source) >= 1]
+    assert int(surfaces.valid.sum()) == len(inside)
+    np.testing.assert_array_equal(
+        np.asarray(surfaces.measured.wxyz_xyz)[: len(inside)], [e.surface_motion for e in inside]
+    )
+    assert not loops.valid.any()
+
+
+def test_keyframes_tied_to_others_outside_hold_the_window_in_place(run, config):
+    """Five keyframes and room for four: the first is left out, and what is tied to it stays."""
+    window = slam.window_of(run.params, run.graph, config.graph)
+    members = np.asarray(window.members).tolist()
+    assert members == [1, 2, 3, 4]
+    outside = {max(e.target, e.source) for e in run.graph.edges if 0 in (e.target, e.source)}
+    free = np.asarray(window.graph.free_poses)
+    assert [m for m, moves in zip(members, free, strict=True) if not moves] == sorted(outside)
+    assert free.any()
+    # Where all have room, the first keyframe holds them.
+    window = slam.window_of(run.params, run.graph, replace(config.graph, window=8))
+    assert np.asarray(window.graph.free_poses).tolist() == [False] + [True] * 4 + [False] * 3
+
+
+def test_results_are_taken_so_many_frames_later(run, config):
+    begun = with_adjustment_begun(run.params, run.graph, replace(config.graph, adjustment_frames=2))
+    graph = begun
+    for _ in range(2):
+        graph = with_frame_passed(graph)
+        np.testing.assert_array_equal(graph.poses, run.graph.poses)
+    graph = with_frame_passed(graph)
+    assert graph.adjustment is None
+    np.testing.assert_array_equal(graph.poses, with_adjustment_taken(begun).poses)
+    assert np.abs(graph.poses - run.graph.poses).max() > 1e-5
+
+
+def test_keyframes_that_came_meanwhile_move_with_their_reference(run):
+    """The adjustment of the first three turns the third by a tenth; the fourth and fifth go with it."""
+    turn = se3.exp(jnp.asarray([0.0, 0.0, 0.02, 0.0, 0.1, 0.0]))
+    moved = np.asarray(se3.compose(run.graph.pose(2), turn).wxyz_xyz)
+    poses = np.concatenate([run.graph.poses[:2], moved[None]])
+    none = np.zeros(0, int)
+    found = Adjustment(
+        np.arange(3), none, jnp.asarray(poses), jnp.zeros((0, 3)), jnp.asarray(int(Status.CONVERGED)), 0
+    )
+    graph = replace(run.graph, landmarks=Landmarks(none, np.zeros((0, 3))), adjustment=found)
+    after = with_adjustment_taken(graph)
+    assert [k.reference for k in graph.keyframes] == [0, 0, 1, 2, 3]
+    before, now = (se3.matrices_of(poses) for poses in (graph.poses, after.poses))
+    np.testing.assert_allclose(now[:2], before[:2], atol=1e-6)
+    for number in (3, 4):
+        np.testing.assert_allclose(
+            np.linalg.inv(now[2]) @ now[number], np.linalg.inv(before[2]) @ before[number], atol=1e-5
+        )
+    diverged = replace(graph, adjustment=replace(found, status=jnp.asarray(int(Status.DIVERGED))))
+    np.testing.assert_array_equal(with_adjustment_taken(diverged).poses, graph.poses)
+
+
+def test_a_run_saved_during_an_adjustment_goes_on_to_the_bit(room, frames, config, tmp_path):
+    settings = replace(config, graph=replace(config.graph, adjustment_frames=3))
+    state = slam.init(room.camera, settings)
+    resumed = None
+    for frame in frames:
+        if resumed is None and state.graph.adjustment is not None:
+            slam.save(state, tmp_path)
+            resumed = slam.load(tmp_path, settings)
+        state, _ = slam.step(state, frame)
+        if resumed is not None:
+            resumed, _ = slam.step(resumed, frame)
+    assert resumed is not None
+    np.testing.assert_array_equal(state.graph.poses, resumed.graph.poses)
+    np.testing.assert_array_equal(state.trajectory.poses, resumed.trajectory.poses)
+
+
+def test_finish_leaves_nothing_waiting_and_more_frames_may_follow(run, room, frames):
+    assert run.graph.adjustment is not None
+    state = slam.finish(run)
+    assert not state.graph.pending
+    assert state.graph.adjustment is None
+    np.testing.assert_allclose(slam.finish(state).graph.poses, state.graph.poses, atol=3e-4)
+    truth = room.ground_truth.poses[[0, 3, 5, 8, 10]]
+    wanted = np.linalg.inv(truth[0]) @ truth
+    np.testing.assert_allclose(state.trajectory.poses[:, :3, 3], wanted[:, :3, 3], atol=0.01)
+    _, info = slam.step(state, frames[11])
+    assert info.tracked
