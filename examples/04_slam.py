@@ -31,6 +31,7 @@ def main(width: int = 160, height: int = 120, frames: int = 30) -> dict[str, flo
     for frame in camera_frames(recording):
         state, info = slam.step(state, frame)
         tracked, rgb = tracked + info.tracked, frame.rgb
+    state = slam.finish(state)
 
     trajectory = state.trajectory
     error = ate(trajectory, recording.ground_truth)

@@ -24,8 +24,11 @@ from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import Frame
 from sfgs_jax.slam import SlamConfig, Stopwatch, finish, follow, init
 
-WHOLE = SlamConfig()
-TRACKING, GRAPH = WHOLE.tracking, WHOLE.graph
+TRACKING, GRAPH = (
+    replace(SlamConfig().tracking, estimate_timing=True, estimate_depth=True),
+    SlamConfig().graph,
+)
+WHOLE = replace(SlamConfig(), tracking=TRACKING)
 
 
 def with_features(kind: str) -> SlamConfig:
@@ -38,10 +41,10 @@ VARIANTS = {
     "ORB for SuperFeats": with_features("orb"),
     "GICP alone": with_features("none"),
     "keypoints alone": replace(WHOLE, tracking=replace(TRACKING, use_surface=False)),
-    "without the window": replace(WHOLE, graph=replace(GRAPH, window=1)),
+    "without landmarks": replace(WHOLE, graph=replace(GRAPH, window=0)),
     "without loops": replace(WHOLE, graph=replace(GRAPH, loops=False)),
     "without the factor graph": replace(WHOLE, graph=replace(GRAPH, enabled=False)),
-    "sensors modelled": replace(WHOLE, tracking=replace(TRACKING, estimate_timing=True, estimate_depth=True)),
+    "without the sensors' model": SlamConfig(),
 }
 STRIDES = (1, 2, 3, 5)
 FAINT_STRIDES = (5, 10, 20)

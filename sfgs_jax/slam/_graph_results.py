@@ -1,9 +1,10 @@
-"""What the graph of keyframes has found reaches the state: after each frame, and at the end of a run."""
+"""Results of the graph of keyframes in the state: after each frame, and at the end of a run."""
 
 from dataclasses import replace
 
 from sfgs_jax.slam.frontend import with_depth_offsets
 from sfgs_jax.slam.keyframes import advance_graph, settled
+from sfgs_jax.slam.mapping import follow_keyframes
 from sfgs_jax.slam.state import KeyframeGraph, SlamState, with_graph_poses
 
 
@@ -25,8 +26,8 @@ def with_graph(state: SlamState, graph: KeyframeGraph) -> SlamState:
 def finish(state: SlamState) -> SlamState:
     """The state at the end of a run: all waiting pairs of keyframes registered, the keyframes adjusted.
 
-    While frames come, few pairs are registered after each, and an adjustment takes few iterations. More
-    frames may follow.
+    While frames come, few pairs are registered after each, and an adjustment takes few iterations. The map
+    moves with the keyframes. More frames may follow.
 
     Args:
         state: after the last frame.
@@ -35,4 +36,5 @@ def finish(state: SlamState) -> SlamState:
     while state.graph.pending:
         graph, _ = advance_graph(state.params, state.graph, config, grown=False)
         state = with_graph(state, graph)
-    return with_graph(state, settled(state.params, state.graph, config))
+    state = with_graph(state, settled(state.params, state.graph, config))
+    return replace(state, mapping=follow_keyframes(state.mapping, state.graph.poses))

@@ -167,6 +167,7 @@ def test_finish_leaves_nothing_waiting_and_more_frames_may_follow(run, room, fra
     state = slam.finish(run)
     assert not state.graph.pending
     assert state.graph.adjustment is None
+    np.testing.assert_array_equal(state.mapping.keyframe_poses, state.graph.poses)
     np.testing.assert_allclose(slam.finish(state).graph.poses, state.graph.poses, atol=3e-4)
     truth = room.ground_truth.poses[[0, 3, 5, 8, 10]]
     wanted = np.linalg.inv(truth[0]) @ truth

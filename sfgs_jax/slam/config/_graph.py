@@ -1,4 +1,4 @@
-"""Settings of the keyframe graph: its registrations, its window of landmarks, and its loops."""
+"""Settings of the keyframe graph: its registrations, its adjustment, and its loops."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from sfgs_jax.arrays import check_counts, check_positive, check_range
 
 @dataclass(frozen=True)
 class GraphConfig:
-    """Graph of keyframes: registrations between them, local bundle adjustment, and loop closure."""
+    """Graph of keyframes: registrations between them, adjustment with their landmarks, and loop closure."""
 
     enabled: bool = True
     """Whether there is a graph. Without it keyframes stay where they were tracked, and no loop closes."""

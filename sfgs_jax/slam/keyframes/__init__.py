@@ -1,4 +1,4 @@
-"""The keyframe graph at work: insertion, registrations, loops, pose graph, local bundle adjustment."""
+"""The keyframe graph at work: insertion, registrations, loops, adjustment, pose graph."""
 
 from sfgs_jax.slam.keyframes._adjustment import Window as Window
 from sfgs_jax.slam.keyframes._adjustment import adjust as adjust

@@ -83,7 +83,7 @@ def _reprojections(graph: FactorGraph) -> RgbdReprojection:
 def window_of(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> Window:
     """The window around the newest keyframe: all keyframes, where there are few enough.
 
-    What keeps it in place is the first keyframe, and the keyframes that are tied to others outside.
+    The first keyframe keeps it in place, and so do keyframes that are tied to others outside.
 
     Args:
         params: parameters of tracking.

@@ -14,8 +14,8 @@ from sfgs_jax.slam.state._keyframe_graph import Adjustment, KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _aside = ThreadPoolExecutor(1)
-"""JAX runs what one thread asks for in order, so that the next frame would wait for an adjustment. What
-another thread asks for runs beside it."""
+"""A thread to start adjustments from. JAX runs the calls of one thread in order, so that the next frame would
+wait for an adjustment; calls of two threads run side by side."""
 
 
 def with_adjustment_begun(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:

@@ -45,8 +45,8 @@ def optimise_poses(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
 def bend(graph: KeyframeGraph, config: GraphConfig, loops: Sequence[Edge]) -> KeyframeGraph:
     """The graph with new loops closed; all else wants to stay as it is, by the information of its edges.
 
-    What surfaces and landmarks say is in the poses already, of keyframes too that are adjusted no more. It
-    is the essential graph of ORB-SLAM2 (Mur-Artal and Tardós, 2017), section III-C.
+    The poses hold already what surfaces and landmarks say, those of keyframes too that are adjusted no more.
+    Source: the essential graph of ORB-SLAM2 (Mur-Artal and Tardós, 2017), section III-C.
 
     Args:
         graph: before, with the loops among its edges.
