@@ -36,7 +36,7 @@ class GraphConfig:
     adjustment_frames: int = 4
     """Frames after which an adjustment's results are taken; meanwhile they are computed."""
     max_landmarks: int = 4096
-    """Landmarks that are adjusted, the most often seen first."""
+    """Landmarks that are adjusted; each keyframe has its share, those it has in common with most others."""
     loops: bool = True
     """Whether loops are closed."""
     loop_candidates: int = 2

@@ -22,7 +22,7 @@ from sfgs_jax.factor_graph import (
 from sfgs_jax.sensors import corrected_depth, grid_shares
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._edges import relative_poses
-from sfgs_jax.slam.keyframes._landmarks import most_seen, positions
+from sfgs_jax.slam.keyframes._landmarks import chosen, positions
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
 
@@ -80,8 +80,10 @@ def _reprojections(graph: FactorGraph) -> RgbdReprojection:
     return next(f for f in graph.factors if isinstance(f, RgbdReprojection))
 
 
-def window_of(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> Window:
-    """The window around the newest keyframe: all keyframes, where there are few enough.
+def window_of(
+    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, *, around: int | None = None
+) -> Window:
+    """The window around a keyframe: all keyframes, where there are few enough.
 
     The first keyframe keeps it in place, and so do keyframes that are tied to others outside.
 
@@ -89,9 +91,10 @@ def window_of(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) 
         params: parameters of tracking.
         graph: with at least two keyframes.
         config: settings.
+        around: number of that keyframe, the newest if not given.
     """
     size = config.window
-    members = _members(graph, size)
+    members = _members(graph, size, len(graph.keyframes) - 1 if around is None else around)
     count = len(members)
     place = np.full(len(graph.keyframes), -1)
     place[members] = np.arange(count)
@@ -119,15 +122,14 @@ def window_of(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) 
     )
 
 
-def _members(graph: KeyframeGraph, size: int) -> Int[np.ndarray, " w"]:
-    """Numbers of the keyframes with the fewest edges between them and the newest; of these the newest."""
+def _members(graph: KeyframeGraph, size: int, around: int) -> Int[np.ndarray, " w"]:
+    """Numbers of the keyframes with the fewest edges between them and one of them; of these the newest."""
     count = len(graph.keyframes)
     tied: list[set[int]] = [set() for _ in range(count)]
     for edge in graph.edges:
         tied[edge.target].add(edge.source)
         tied[edge.source].add(edge.target)
-    reached, ring = [count - 1], {count - 1}
-    known = {count - 1}
+    reached, ring, known = [around], {around}, {around}
     while ring and len(reached) < size:
         ring = set().union(*(tied[number] for number in ring)) - known
         known |= ring
@@ -189,8 +191,8 @@ def _observations(
     shown = np.stack([keyframe.landmarks for keyframe in keyframes])
     placed = (shown >= 0) & (graph.landmarks.keyframes[np.maximum(shown, 0)] >= 0)
     row, slot = np.nonzero(placed)
-    numbers, index = most_seen(shown[row, slot], config.max_landmarks)
-    # The most often seen landmarks first: where there are too many observations, the others lose theirs.
+    numbers, index = chosen(row, shown[row, slot], config.max_landmarks)
+    # The best landmarks first: where there are too many observations, the others lose theirs.
     order = np.argsort(np.where(index >= 0, index, config.max_landmarks), kind="stable")
     room = _OBSERVATIONS * config.max_landmarks
     order = order[: min(room, int((index >= 0).sum()))]

@@ -18,17 +18,20 @@ _aside = ThreadPoolExecutor(1)
 wait for an adjustment; calls of two threads run side by side."""
 
 
-def with_adjustment_begun(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
-    """The graph with an adjustment around the newest keyframe started; it does not wait for the results.
+def with_adjustment_begun(
+    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, *, around: int | None = None
+) -> KeyframeGraph:
+    """The graph with an adjustment started; it does not wait for the results.
 
     Args:
         params: parameters of tracking.
         graph: without an adjustment.
         config: settings.
+        around: number of the keyframe in the middle of the window, the newest if not given.
     """
     if len(graph.keyframes) < 2:
         return graph
-    window = window_of(params, graph, config)
+    window = window_of(params, graph, config, around=around)
     solution = _aside.submit(adjust, params, window).result()
     begun = Adjustment(
         members=np.asarray(window.members),

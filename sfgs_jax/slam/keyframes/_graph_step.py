@@ -1,6 +1,5 @@
 """The graph's work after a frame: a few registrations, and once none is left, its optimisation."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import jaxlie
@@ -21,7 +20,7 @@ from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, travelled, with_candidate
 from sfgs_jax.slam.keyframes._pose_graph import bend, optimise_poses
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
 
@@ -48,7 +47,7 @@ def advance_graph(
     if not config.enabled:
         return graph, False
     graph = with_frame_passed(graph)
-    closed, waited, known = False, bool(graph.pending), len(graph.edges)
+    closed, waited = False, bool(graph.pending)
     # A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster.
     for _ in range(max(config.registrations_per_frame, len(graph.pending) // config.backlog)):
         if not graph.pending:
@@ -56,8 +55,7 @@ def advance_graph(
         graph, closed_now = _register_next(params, graph, config)
         closed |= closed_now
     if closed or (not graph.pending and (waited or grown)):
-        loops = [edge for edge in graph.edges[known:] if edge.loop]
-        graph = _optimised(params, with_new_offsets(params, graph), config, loops)
+        graph = _optimised(params, with_new_offsets(params, graph), config)
     return graph, closed
 
 
@@ -72,9 +70,14 @@ def settled(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) ->
     if not config.enabled or not _has_landmarks(params, config):
         return graph
     graph = with_adjustment_taken(graph)
+    # Windows that overlap by half reach all keyframes, the newest last.
+    centres = range(len(graph.keyframes) - 1, 0, -max(1, config.window // 2))
+    if len(graph.keyframes) <= config.window:
+        centres = centres[:1]
     for _ in range(_MOST_ADJUSTMENTS):
         before = graph.poses
-        graph = with_adjustment_taken(with_adjustment_begun(params, graph, config))
+        for centre in reversed(centres):
+            graph = with_adjustment_taken(with_adjustment_begun(params, graph, config, around=centre))
         if np.abs(graph.poses - before).max(initial=0) < _STILL:
             break
     return graph
@@ -84,17 +87,19 @@ def _has_landmarks(params: TrackerParams, config: GraphConfig) -> bool:
     return config.window > 1 and params.config.features.kind != "none"
 
 
-def _optimised(
-    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, loops: Sequence[Edge]
-) -> KeyframeGraph:
-    """The graph with its keyframes where registrations, landmarks and newly closed loops want them.
+def _optimised(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
+    """The graph with its keyframes where registrations and landmarks want them.
 
-    The landmarks' part is only begun.
+    The landmarks' part is only begun. It moves all keyframes where there are few, and a closed loop may be
+    too far for it.
     """
     if not _has_landmarks(params, config):
         return optimise_poses(graph, config)
     graph = with_adjustment_taken(graph)
-    return with_adjustment_begun(params, bend(graph, config, loops) if loops else graph, config)
+    new = graph.edges[graph.num_absorbed :]
+    if len(graph.keyframes) > config.window or any(edge.loop for edge in new):
+        graph = bend(graph, config)
+    return with_adjustment_begun(params, replace(graph, num_absorbed=len(graph.edges)), config)
 
 
 def _register_next(

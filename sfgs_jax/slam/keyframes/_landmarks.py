@@ -97,21 +97,31 @@ def with_positions(
     return replace(graph, landmarks=replace(graph.landmarks, points=points))
 
 
-def most_seen(
-    landmarks: Int[np.ndarray, " n"], capacity: int
+def chosen(
+    keyframes: Int[np.ndarray, " n"], landmarks: Int[np.ndarray, " n"], capacity: int
 ) -> tuple[Int[np.ndarray, " l"], Int[np.ndarray, " n"]]:
-    """Landmarks seen at least twice, the most often seen first.
+    """Landmarks seen at least twice; where there are too many, those that most help some keyframe.
+
+    Each keyframe puts its landmarks in order, the most often seen first, and a landmark has the best of its
+    places. To take the most often seen of all would leave the newest keyframes without any.
 
     Args:
-        landmarks: number of the landmark of each of n observations.
+        keyframes: the keyframe of each of n observations.
+        landmarks: number of its landmark.
         capacity: landmarks that are kept.
 
     Returns:
-        The numbers of those kept, and for each observation its landmark's place among them, or -1.
+        The numbers of those kept, the best first, and for each observation its landmark's place among them,
+        or -1.
     """
     numbers, inverse, counts = np.unique(landmarks, return_inverse=True, return_counts=True)
-    kept = np.argsort(-counts, kind="stable")[:capacity]
-    kept = kept[counts[kept] > 1]
+    order = np.lexsort((-counts[inverse], keyframes))
+    rank = np.empty(len(order), int)
+    rank[order] = np.arange(len(order)) - np.searchsorted(keyframes[order], keyframes[order])
+    best = np.full(len(numbers), len(order))
+    np.minimum.at(best, inverse, rank)
+    kept = np.argsort(best, kind="stable")
+    kept = kept[counts[kept] > 1][:capacity]
     place = np.full(len(numbers), -1)
     place[kept] = np.arange(len(kept))
     return numbers[kept], place[inverse]

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sfgs_jax.arrays import doubled
-from sfgs_jax.factor_graph import FactorGraph, RelativePose, SolverConfig, Status, Values, solve
-from sfgs_jax.geometry import se3
+from sfgs_jax.factor_graph import FactorGraph, SolverConfig, Status, Values, solve
+from sfgs_jax.geometry import Kernel, se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._edges import relative_poses
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
@@ -31,55 +31,50 @@ def optimise_poses(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
     if not graph.edges:
         return graph
     loops = [edge for edge in graph.edges if edge.loop]
-    room = 2 * pose_capacity(graph, config)
-    steady = relative_poses(
-        [edge for edge in graph.edges if not edge.loop],
-        room,
-        offsets=graph.offsets,
-        kernel="huber",
-        kernel_width=config.kernel_width,
-    )
-    return _solved(graph, config, steady, loops)
+    return _solved(graph, config, [edge for edge in graph.edges if not edge.loop], loops)
 
 
-def bend(graph: KeyframeGraph, config: GraphConfig, loops: Sequence[Edge]) -> KeyframeGraph:
-    """The graph with new loops closed; all else wants to stay as it is, by the information of its edges.
+def bend(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
+    """The graph bent by its new edges; all else wants to stay as it is, by the information of its edges.
 
     The poses hold already what surfaces and landmarks say, those of keyframes too that are adjusted no more.
     Source: the essential graph of ORB-SLAM2 (Mur-Artal and Tardós, 2017), section III-C.
 
     Args:
-        graph: before, with the loops among its edges.
+        graph: before.
         config: settings.
-        loops: those that were accepted since the graph was optimised.
     """
+    old, new = graph.edges[: graph.num_absorbed], graph.edges[graph.num_absorbed :]
     T = se3.matrices_of(graph.poses)
-    new = {(edge.target, edge.source) for edge in loops}
-    others = [edge for edge in graph.edges if not (edge.loop and (edge.target, edge.source) in new)]
-    ends = np.asarray([(edge.target, edge.source) for edge in others]).reshape(-1, 2)
+    ends = np.asarray([(edge.target, edge.source) for edge in old], int).reshape(-1, 2)
     motions = se3.parameters_of(np.linalg.inv(T[ends[:, 0]]) @ T[ends[:, 1]])
-    held = [replace(edge, T_target_source=motion) for edge, motion in zip(others, motions, strict=True)]
-    steady = relative_poses(
-        held, 2 * pose_capacity(graph, config), kernel="huber", kernel_width=config.kernel_width
+    held = [
+        replace(edge, T_target_source=motion, offsets=graph.offsets)
+        for edge, motion in zip(old, motions, strict=True)
+    ]
+    return _solved(
+        graph, config, [*held, *(e for e in new if not e.loop)], [edge for edge in new if edge.loop]
     )
-    return _solved(graph, config, steady, loops)
 
 
 def _solved(
-    graph: KeyframeGraph, config: GraphConfig, steady: RelativePose, loops: Sequence[Edge]
+    graph: KeyframeGraph, config: GraphConfig, steady: Sequence[Edge], loops: Sequence[Edge]
 ) -> KeyframeGraph:
     """The graph at the optimum, unless there is none."""
     capacity = pose_capacity(graph, config)
-    closing = relative_poses(
-        loops,
-        2 * capacity,
-        offsets=graph.offsets,
-        kernel="dynamic_covariance_scaling",
-        kernel_width=config.kernel_width,
+    kernels: tuple[tuple[Sequence[Edge], Kernel], ...] = (
+        (steady, "huber"),
+        (loops, "dynamic_covariance_scaling"),
     )
+    factors = [
+        relative_poses(
+            edges, 2 * capacity, offsets=graph.offsets, kernel=kernel, kernel_width=config.kernel_width
+        )
+        for edges, kernel in kernels
+    ]
     free = np.zeros(capacity, bool)
     free[1 : len(graph.keyframes)] = True
-    problem = FactorGraph([steady, closing], num_poses=capacity, free_poses=free, linear_solver="dense")
+    problem = FactorGraph(factors, num_poses=capacity, free_poses=free, linear_solver="dense")
     start = Values(jaxlie.SE3(padded_poses(graph.poses, capacity)))
     solution = solve(problem, start, config=_SOLVER)
     if int(solution.status) in (Status.DIVERGED, Status.SINGULAR):

@@ -114,7 +114,8 @@ class KeyframeGraph:
     Attributes:
         keyframes: nodes, oldest first.
         poses: (n, 7) their `T_world_cam` as wxyz_xyz, on the host.
-        edges: registrations that were accepted.
+        edges: registrations that were accepted, in their order.
+        num_absorbed: how many of them the poses hold already.
         pending: pairs (target, source) still to be registered, the next one first.
         candidates: registrations that may be loops, and wait for others that agree.
         landmarks: places of the landmarks.
@@ -126,6 +127,7 @@ class KeyframeGraph:
     keyframes: tuple[Keyframe, ...]
     poses: Float[np.ndarray, "n 7"]
     edges: tuple[Edge, ...]
+    num_absorbed: int
     pending: tuple[tuple[int, int], ...]
     candidates: tuple[Edge, ...]
     landmarks: Landmarks
@@ -157,6 +159,7 @@ def empty_graph(offsets: Float[np.ndarray, " G"]) -> KeyframeGraph:
         keyframes=(),
         poses=np.zeros((0, 7), np.float32),
         edges=(),
+        num_absorbed=0,
         pending=(),
         candidates=(),
         landmarks=Landmarks(np.zeros(0, int), np.zeros((0, 3))),
