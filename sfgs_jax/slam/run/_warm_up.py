@@ -18,7 +18,7 @@ from sfgs_jax.slam.frontend import (
     search_by_surface,
     with_depth_offsets,
 )
-from sfgs_jax.slam.keyframes import accept_consistent_loops, advance_graph, insert_keyframe
+from sfgs_jax.slam.keyframes import accept_consistent_loops, advance_graph, bend, insert_keyframe
 from sfgs_jax.slam.mapping import prune
 from sfgs_jax.slam.state import SlamState, move, with_graph_poses
 from sfgs_jax.slam.step import step
@@ -51,13 +51,14 @@ def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
 
 
 def _compile_graph(state: SlamState) -> None:
-    """Insertion of a keyframe, its registration, both optimisations, loop closure, another correction."""
+    """Insertion of a keyframe, its registration, adjustment, loop closure, another correction of depth."""
     config = state.config.graph
     features = state.graph.keyframes[0].features
     found = register(state.params, features, features, se3.identity())
     graph = insert_keyframe(state.params, state.graph, features, found, 0, 1, config)
     graph, _ = advance_graph(state.params, replace(graph, pending=((0, 1),)), config, grown=True)
     if graph.edges:
+        bend(graph, config)
         candidates = graph.edges[:1] * config.loop_support
         accept_consistent_loops(replace(graph, candidates=candidates), config)
     tracker = with_graph_poses(state.tracker, graph)
