@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from sfgs_jax import datasets, slam
+from sfgs_jax import datasets, gicp, slam
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import Trajectory, se3
 
@@ -41,7 +41,9 @@ def main(width: int = 160, height: int = 120, frames: int = 20, batch: int = 3) 
     times = np.asarray([[frame.timestamp for frame in row] for row in taken])
     elapsed = jnp.asarray(np.diff(times, axis=1, prepend=times[:, :1]), jnp.float32)  # 0 for the first
 
-    params = slam.tracker_params(recordings[0].camera, slam.TrackingConfig())
+    # Small images need fewer resolutions, and fewer compile sooner.
+    tracking = slam.TrackingConfig(gicp=gicp.GicpConfig(levels=1))
+    params = slam.tracker_params(recordings[0].camera, tracking)
     poses, tracked = trajectories(params, slam.init_tracker(params), rgb, depth, elapsed)
 
     errors = []

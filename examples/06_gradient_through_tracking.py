@@ -24,9 +24,9 @@ def main(width: int = 160, height: int = 120, steps: int = 5) -> dict[str, float
     frames = [recording[i] for i in ends]
     rgb, depth = (jnp.asarray([getattr(f, name) for f in frames]) for name in ("rgb", "depth"))
     elapsed = jnp.asarray([0.0, frames[1].timestamp - frames[0].timestamp])
-    # Small images need fewer resolutions, and fewer compile sooner.
-    resolutions = gicp.GicpConfig(levels=2, skipped_halvings=0, strides=(2, 1), max_iterations=(12, 24))
-    params = slam.tracker_params(recording.camera, slam.TrackingConfig(gicp=resolutions))
+    # For small images one resolution is enough, and it compiles sooner.
+    tracking = slam.TrackingConfig(gicp=gicp.GicpConfig(levels=1, skipped_halvings=0))
+    params = slam.tracker_params(recording.camera, tracking)
     tracker = slam.init_tracker(params)
 
     def error(scale):

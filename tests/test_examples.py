@@ -1,12 +1,19 @@
-"""Every example runs, and its numbers show that it works."""
+"""Every example runs, and its numbers show that it works; those of the README and of the guide to SLAM too.
 
+They are in one file because they step through frames of one size, by the same programs.
+"""
+
+import re
 import runpy
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+ROOT = Path(__file__).parents[1]
+EXAMPLES = ROOT / "examples"
 
 
 def main_of(name: str) -> Callable[..., dict[str, float]]:
@@ -59,6 +66,38 @@ def test_04_slam_tracks_and_maps_an_iterator():
     assert found["ate_cm"] < 1
     assert found["gaussians"] > 1000
     assert found["psnr"] > 20
+
+
+def run_in_small(page: str, index: int, options: str, smaller: str) -> dict[str, Any]:
+    """Names of one of the Python examples of a page, run with other options of its recording."""
+    example = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)[index]
+    small = example.replace(options, smaller)
+    assert small != example
+    names: dict[str, Any] = {}
+    exec(compile(small, page, "exec"), names)  # the text under test is our own
+    return names
+
+
+def test_the_readmes_example_steps_through_a_recording_and_differentiates_the_map(capsys):
+    run_in_small("README.md", 0, "frames=20", "frames=3,width=96,height=72")
+    gradient = jnp.asarray([float(word) for word in capsys.readouterr().out.strip(" []\n").split()])
+    assert gradient.shape == (6,)
+    assert jnp.all(jnp.isfinite(gradient))
+    assert jnp.any(gradient != 0)
+
+
+def test_the_first_example_of_the_guide_to_slam_steps_through_a_recording(capsys):
+    names = run_in_small("docs/slam.md", 0, "frames=20", "frames=3,width=96,height=72")
+    shown = capsys.readouterr().out.splitlines()
+    assert len(shown) == 3
+    assert shown[0] == "True JOINT True"
+    assert len(names["trajectory"]) == 3
+
+
+def test_the_second_example_of_the_guide_to_slam_scans_the_tracker(capsys):
+    smaller = "frames=3,width=96,height=72"
+    run_in_small("docs/slam.md", 1, "frames=8,width=160,height=120", smaller)
+    assert capsys.readouterr().out.strip() == "(3, 7)"
 
 
 def test_05_a_batch_of_recordings_is_tracked_as_one_program():

@@ -1,9 +1,8 @@
-"""The README: its example runs, its tables and commands are complete."""
+"""The README: its tables and commands are complete. Its example runs in `test_examples.py`."""
 
 import re
 from pathlib import Path
 
-import jax.numpy as jnp
 import pytest
 
 import sfgs_jax
@@ -13,16 +12,9 @@ from sfgs_jax.slam import OUTPUT_FILES
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
 
-def test_the_library_example_runs(capsys):
-    (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    small = example.replace("frames=20", "frames=3,width=96,height=72")
-    assert small != example
-    names: dict[str, object] = {}
-    exec(compile(small, "README.md", "exec"), names)  # the text under test is our own
-    gradient = jnp.asarray([float(word) for word in capsys.readouterr().out.strip(" []\n").split()])
-    assert gradient.shape == (6,)
-    assert jnp.all(jnp.isfinite(gradient))
-    assert jnp.any(gradient != 0)
+def test_the_library_example_is_alone():
+    """It runs among the examples."""
+    assert len(re.findall(r"```python\n", README)) == 1
 
 
 @pytest.mark.parametrize("name", OUTPUT_FILES)

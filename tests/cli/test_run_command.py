@@ -26,6 +26,9 @@ SMALL = [
     "32768",
     "--mapping.final-steps",
     "3",
+    # One level registers so small an image as well, and compiles sooner.
+    "--tracking.gicp.levels",
+    "1",
     "--quiet",
 ]
 NUM_FRAMES = 12
@@ -252,7 +255,6 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_end(finished, recording_fold
 def test_an_ablation_reaches_the_settings(recording_folder, tmp_path, capsys):
     out = tmp_path / "out"
     options = ["--ablation", "no-features", "--graph.no-enabled", "--graph.no-loops", "--reader.end", "3"]
-    options += ["--tracking.gicp.levels", "1"]  # which compiles sooner
     assert run(recording_folder, out, *options, "--no-evaluate") == 0
     slam = json.loads((out / "config.json").read_text())["slam"]
     assert slam["tracking"]["features"]["kind"] == "none"

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -22,11 +23,19 @@ def _promotion_as_optax_needs_it():
         yield
 
 
-def short_run(out: Path, sfgs_data: Path, steps: int) -> TrainingConfig:
+@pytest.fixture(autouse=True, scope="module")
+def _one_optimiser_of_the_same_settings():
+    """So that all runs train by one program; each would compile its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train_superfeats, "_optimiser", cache(train_superfeats._optimiser))
+        yield
+
+
+def short_run(out: Path, sfgs_data: Path) -> TrainingConfig:
     """A small network on photographs alone."""
     return TrainingConfig(
         out,
-        steps=steps,
+        steps=4,
         pairs=2,
         warm_up=1,
         save_every=2,
@@ -46,7 +55,7 @@ def running_mean(network: Network, level: int) -> np.ndarray:
 
 def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monkeypatch):
     def config(name: str) -> TrainingConfig:
-        return short_run(tmp_path / name, sfgs_data, steps=4)
+        return short_run(tmp_path / name, sfgs_data)
 
     train(config("whole"))
 
@@ -73,7 +82,7 @@ def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monk
 
 
 def test_a_run_can_go_on_with_anothers_description_branch(tmp_path, sfgs_data):
-    first = short_run(tmp_path / "first", sfgs_data, steps=2)
+    first = short_run(tmp_path / "first", sfgs_data)
     train(first)
     second = replace(
         first, out=tmp_path / "second", seed=1, description_from=tmp_path / "first" / "checkpoint.eqx"

@@ -16,6 +16,9 @@ from sfgs_jax.gicp import (
 )
 from tests.gicp.test_point_clouds import room
 
+# One program instead of one for each operation.
+weights_of = jax.jit(weight_matrices, static_argnames=("residual", "epsilon"))
+
 
 def unit_columns(rng, n: int) -> np.ndarray:
     vectors = rng.normal(size=(3, n))
@@ -30,7 +33,7 @@ def full(weights) -> np.ndarray:
 def test_hessian_and_gradient_are_those_of_the_perturbed_residual(float64, rng):
     cloud = prepare_points(jnp.asarray(room(rng, 500)), config=PointsConfig(levels=1, max_points=128))
     config = GicpConfig(kernel="none", epsilon=0.01)
-    problem = level_problem(cloud.levels, cloud.levels, None, 0, config)
+    problem = jax.jit(lambda levels: level_problem(levels, levels, None, 0, config))(cloud.levels)
     p, s = problem.source.points, problem.source.normals
     n = p.shape[1]
     q, t = jnp.asarray(rng.normal(size=(3, n))), jnp.asarray(unit_columns(rng, n))
@@ -38,12 +41,13 @@ def test_hessian_and_gradient_are_those_of_the_perturbed_residual(float64, rng):
     pairs = Correspondences(q, t, None, variance, valid, valid)
 
     def residuals(delta):
-        return se3.transform(se3.exp(delta), p.T) - q.T
+        r = se3.transform(se3.exp(delta), p.T) - q.T
+        return r, r
 
-    jacobian, r = np.asarray(jax.jacfwd(residuals)(jnp.zeros(6))), np.asarray(residuals(jnp.zeros(6)))
+    jacobian, r = map(np.asarray, jax.jit(jax.jacfwd(residuals, has_aux=True))(jnp.zeros(6)))
     weights = np.where(valid, 1 / variance, 0)
-    w = full(weight_matrices(s, t, residual="gicp", epsilon=0.01)) * weights[:, None, None]
-    found = problem.equations(se3.identity(jnp.float64), pairs)
+    w = full(weights_of(s, t, residual="gicp", epsilon=0.01)) * weights[:, None, None]
+    found = jax.jit(lambda problem, *at: problem.equations(*at))(problem, se3.identity(jnp.float64), pairs)
     np.testing.assert_allclose(
         found.hessian, np.einsum("nai,nab,nbj->ij", jacobian, w, jacobian), rtol=1e-10, atol=1e-9
     )
@@ -57,7 +61,7 @@ def test_gicp_weights_are_the_inverse_of_the_summed_covariances(float64, rng):
     s, t = unit_columns(rng, 50), unit_columns(rng, 50)
     t[:, 0] = s[:, 0]  # parallel normals, where one eigenvector vanishes
     epsilon = 1e-3
-    weights = weight_matrices(jnp.asarray(s), jnp.asarray(t), residual="gicp", epsilon=epsilon)
+    weights = weights_of(jnp.asarray(s), jnp.asarray(t), residual="gicp", epsilon=epsilon)
     covariances = [np.eye(3) - (1 - epsilon) * np.einsum("an,bn->nab", n, n) for n in (s, t)]
     expected = 2 * epsilon * np.linalg.inv(covariances[0] + covariances[1])
     np.testing.assert_allclose(full(weights), expected, rtol=1e-8, atol=1e-10)
@@ -66,7 +70,7 @@ def test_gicp_weights_are_the_inverse_of_the_summed_covariances(float64, rng):
 
 def test_point_to_plane_sees_only_the_target_normal_and_point_to_point_everything(rng):
     s, t = (jnp.asarray(unit_columns(rng, 5), jnp.float32) for _ in range(2))
-    plane = full(weight_matrices(s, t, residual="point_to_plane", epsilon=0.01))
+    plane = full(weights_of(s, t, residual="point_to_plane", epsilon=0.01))
     np.testing.assert_allclose(plane, np.einsum("an,bn->nab", t, t), rtol=1e-6)
-    point = full(weight_matrices(s, t, residual="point_to_point", epsilon=0.01))
+    point = full(weights_of(s, t, residual="point_to_point", epsilon=0.01))
     np.testing.assert_array_equal(point, np.broadcast_to(np.eye(3), (5, 3, 3)))

@@ -1,7 +1,9 @@
 """Selection of source pixels, and their correspondences in the window of an organised target."""
 
 from dataclasses import replace
+from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,8 +20,14 @@ def test_a_window_finds_the_nearest_point_of_its_pixels():
     levels = prepare(cast(CAMERA), CAMERA, config=CONFIG).levels
     level = levels[0]
     T = se3.exp(jnp.asarray([0.08, 0.02, 0.0, 0.0, 0.1, 0.02]))
-    source = level_problem(levels, levels, None, 0, CONFIG).source
-    moved = np.asarray(se3.transform(T, source.points.T))
+
+    @partial(jax.jit, static_argnums=0)
+    def matched(config):
+        """Moved source points with their correspondences."""
+        problem = level_problem(levels, levels, None, 0, config)
+        return se3.transform(T, problem.source.points.T), *associate(problem.source, problem.target, T)
+
+    moved = np.asarray(matched(CONFIG)[0])
     points = np.asarray(level.points).reshape(-1, 3)
     surface = np.any(np.asarray(level.normals).reshape(-1, 3) != 0, axis=1)
     u, v = np.meshgrid(np.arange(level.camera.width), np.arange(level.camera.height))
@@ -28,8 +36,7 @@ def test_a_window_finds_the_nearest_point_of_its_pixels():
     distance = np.linalg.norm(moved[:, None] - points, axis=2)
     results = []
     for radius in (0, 3):
-        problem = level_problem(levels, levels, None, 0, replace(CONFIG, windows=(radius,)))
-        pairs, index = associate(problem.source, problem.target, T)
+        _, pairs, index = matched(replace(CONFIG, windows=(radius,)))
         found = np.asarray(pairs.valid)
         assert found.mean() > 0.4
         expected = np.where((away <= radius) & surface, distance, np.inf).min(axis=1)
@@ -44,5 +51,5 @@ def test_a_window_finds_the_nearest_point_of_its_pixels():
 def test_small_images_keep_all_their_pixels(width, height, stride):
     camera = Camera(width, width, width / 2, height / 2, width=width, height=height)
     levels = prepare(np.full((height, width), 2.0, np.float32), camera).levels
-    problem = level_problem(levels, levels, None, 0, GicpConfig())
+    problem = jax.jit(lambda levels: level_problem(levels, levels, None, 0, GicpConfig()))(levels)
     assert problem.source.valid.size == levels[0].valid[::stride, ::stride].size

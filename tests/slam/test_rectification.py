@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from sfgs_jax import gicp
 from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import SensorTiming
-from sfgs_jax.slam.frontend import rectified
+from sfgs_jax.slam import frontend
 from sfgs_jax.slam.state import FrameFeatures, Keypoints
 from sfgs_jax.superfeats import Features
 
@@ -18,6 +19,9 @@ FAULTS = KinectFaults(depth_delay=0.015, depth_readout=0.025)
 TIMING = SensorTiming(FAULTS.depth_delay, FAULTS.colour_readout, FAULTS.depth_readout)
 NUMBER = 20
 STEP = 1e-3
+
+# One program instead of one for each operation.
+rectified = jax.jit(frontend.rectified)
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +61,8 @@ def seen(recordings):
 
 def off_surface(level, truth):
     """Median distance of a level's pixels from the true surface there."""
-    along = jnp.sum((level.points - truth.points) * truth.normals, axis=-1)
-    return float(jnp.median(jnp.abs(along)[level.valid & truth.valid]))
+    along = np.sum(np.asarray(level.points - truth.points) * truth.normals, axis=-1)
+    return float(np.median(abs(along)[np.asarray(level.valid & truth.valid)]))
 
 
 def test_the_surface_is_where_a_global_shutter_sees_it(recordings, seen, motion):
@@ -69,7 +73,7 @@ def test_the_surface_is_where_a_global_shutter_sees_it(recordings, seen, motion)
     ):
         assert off_surface(before, truth) > 0.004
         assert off_surface(after, truth) < 0.25 * off_surface(before, truth)
-        assert float(jnp.mean(after.valid)) > 0.9 * float(jnp.mean(before.valid))
+        assert np.mean(after.valid) > 0.9 * np.mean(before.valid)
 
 
 def test_keypoints_get_the_depth_of_their_own_time(recordings, seen, motion):

@@ -23,23 +23,28 @@ def recording():
 
 
 @pytest.fixture(scope="module")
+def frames(recording):
+    """The frames, rendered once."""
+    return [recording[i] for i in range(COUNT)]
+
+
+@pytest.fixture(scope="module")
 def tracking():
     features = slam.FeaturesConfig(max_keypoints=256, max_rigid_matches=128)
     gicp = slam.TrackingConfig().gicp
-    gicp = replace(gicp, levels=2, strides=(1, 1), max_iterations=gicp.max_iterations[:2])
+    gicp = replace(gicp, levels=1, strides=(1,))
     return slam.TrackingConfig(features=features, gicp=gicp)
 
 
 @pytest.fixture(scope="module")
-def tracked(recording, tracking):
+def tracked(recording, frames, tracking):
     """Trackers and trajectories of a run with the times estimated, and of one without."""
 
     def run(estimate_timing, timing=None):
         settings = replace(tracking, estimate_timing=estimate_timing)
         params = slam.tracker_params(recording.camera, settings, SensorModel(timing))
         tracker, poses = slam.init_tracker(params), []
-        for i in range(COUNT):
-            frame = recording[i]
+        for i, frame in enumerate(frames):
             elapsed = np.float32(1 / 30 if i else 0)
             tracker, info = slam.track(params, tracker, mean_grey(frame.rgb), frame.depth, elapsed)
             assert bool(info.tracked)

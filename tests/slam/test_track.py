@@ -97,13 +97,13 @@ def test_the_pose_has_gradients_to_images_depth_and_camera(params, sequence):
     _, (by_params, by_image, by_depth) = forward((params, grey[3], depth[3]))
     for part in (by_params.camera.fx, by_image, by_depth, by_params.network):
         leaves = [x for x in jax.tree.leaves(part) if eqx.is_inexact_array(x)]
-        assert all(bool(jnp.all(jnp.isfinite(x))) for x in leaves)
-    assert float(jnp.max(jnp.abs(by_depth))) > 0
-    assert float(jnp.abs(by_params.camera.fx)) > 0
+        assert all(np.all(np.isfinite(x)) for x in leaves)
+    assert np.any(by_depth)
+    assert np.any(by_params.camera.fx)
     # Against a finite difference: all depths scaled, which the surface alone follows.
     step = 5e-3
     values = [forward((params, grey[3], depth[3] * (1 + sign * step)))[0] for sign in (1, -1)]
-    along = float(jnp.sum(by_depth * depth[3]))
+    along = np.vdot(by_depth, depth[3])
     np.testing.assert_allclose(along, (values[0] - values[1]) / (2 * step), rtol=0.02)
 
 

@@ -1,6 +1,7 @@
 """Scenes that break renderers, chosen and random, against the oracle; and lanes that hold NaN."""
 
 from dataclasses import replace
+from functools import partial
 
 import hypothesis.strategies as st
 import jax
@@ -108,20 +109,23 @@ def test_no_slots_at_all_show_the_background():
     background = jnp.asarray([0.1, 0.2, 0.3])
     assert pair_capacity(none, make_camera(), make_pose()) > 0
 
-    def drawn(means):
+    @jax.jit
+    @partial(jax.grad, has_aux=True)
+    def slope(means):
         out = render(replace(none, means=means), make_camera(), make_pose(), background, config=CONFIG)
         return jnp.sum(out.rgb), out
 
-    gradient, out = jax.grad(drawn, has_aux=True)(none.means)
+    gradient, out = slope(none.means)
     assert gradient.shape == (0, 3)
     assert np.all(np.asarray(out.rgb) == np.asarray(background))
     assert np.all(out.alpha == 0)
     assert int(out.overflow) == 0
 
 
+@pytest.mark.usefixtures("float64")
 def test_zero_scales_draw_dots_as_large_as_the_low_pass():
     """log_scales of -inf; the oracle's gradient by them is -inf times 0, and is 0 here."""
-    scene = replace(make_scene(8), log_scales=jnp.full((N, 3), -jnp.inf))
+    scene = replace(make_scene(8, jnp.float64), log_scales=jnp.full((N, 3), -jnp.inf, jnp.float64))
     actual, expected = run("tiles", scene), run("oracle", scene)
     assert np.all(actual.pop("log_scales") == 0)
     expected.pop("log_scales")
