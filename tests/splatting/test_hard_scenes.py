@@ -122,10 +122,9 @@ def test_no_slots_at_all_show_the_background():
     assert int(out.overflow) == 0
 
 
-@pytest.mark.usefixtures("float64")
 def test_zero_scales_draw_dots_as_large_as_the_low_pass():
     """log_scales of -inf; the oracle's gradient by them is -inf times 0, and is 0 here."""
-    scene = replace(make_scene(8, jnp.float64), log_scales=jnp.full((N, 3), -jnp.inf, jnp.float64))
+    scene = replace(make_scene(8), log_scales=jnp.full((N, 3), -jnp.inf))
     actual, expected = run("tiles", scene), run("oracle", scene)
     assert np.all(actual.pop("log_scales") == 0)
     expected.pop("log_scales")
