@@ -33,7 +33,9 @@ from sfgs_jax.evaluation.matching import transfer as transfer
 from sfgs_jax.evaluation.report import write_report as write_report
 from sfgs_jax.evaluation.trajectory import Alignment as Alignment
 from sfgs_jax.evaluation.trajectory import Ate as Ate
+from sfgs_jax.evaluation.trajectory import Nees as Nees
 from sfgs_jax.evaluation.trajectory import Rpe as Rpe
 from sfgs_jax.evaluation.trajectory import align_points as align_points
 from sfgs_jax.evaluation.trajectory import ate as ate
+from sfgs_jax.evaluation.trajectory import nees as nees
 from sfgs_jax.evaluation.trajectory import rpe as rpe

@@ -20,14 +20,14 @@ from sfgs_jax.evaluation.images import (
     evaluate_images,
     load_lpips,
 )
-from sfgs_jax.evaluation.trajectory import ate, rpe
-from sfgs_jax.geometry import read_tum
+from sfgs_jax.evaluation.trajectory import ate, nees, rpe
+from sfgs_jax.geometry import Trajectory, read_covariances, read_tum
 from sfgs_jax.splatting import load_ply
 
 MAX_PIXELS = 200 * 640 * 480
 """Most pixels that image metrics score by default: 200 images of 640 x 480, about a minute's work."""
 
-_OWN_KEYS = ("ate", "rpe", "psnr", "ssim", "lpips_squeeze", "evaluated", "unavailable")
+_OWN_KEYS = ("ate", "rpe", "nees", "psnr", "ssim", "lpips_squeeze", "evaluated", "unavailable")
 
 
 def evaluate_run(
@@ -56,8 +56,8 @@ def evaluate_run(
         progress: called as `progress(done)` with the number of frames of the recording gone through.
 
     Returns:
-        All of `metrics.json`: `ate`, `rpe`, `psnr.PROTOCOL`, `ssim.PROTOCOL`, `lpips_squeeze.PROTOCOL`,
-        `evaluated` and `unavailable`, besides what the run wrote there itself.
+        All of `metrics.json`: `ate`, `rpe`, `nees`, `psnr.PROTOCOL`, `ssim.PROTOCOL`,
+        `lpips_squeeze.PROTOCOL`, `evaluated` and `unavailable`, besides what the run wrote there itself.
 
     Raises:
         InputError: a file of the run is missing, damaged, or of another recording; or `every` is below 1.
@@ -108,7 +108,7 @@ def _trajectory_figures(run_dir: Path, recording: Recording, unavailable: dict[s
         estimate = read_tum(run_dir / "trajectory.txt")
         absolute, relative = ate(estimate, truth), rpe(estimate, truth)
     except InputError as error:
-        unavailable |= dict.fromkeys(("ate", "rpe"), str(error))
+        unavailable |= dict.fromkeys(("ate", "rpe", "nees"), str(error))
         return {}
     return {
         "ate": {
@@ -124,7 +124,22 @@ def _trajectory_figures(run_dir: Path, recording: Recording, unavailable: dict[s
             "delta_frames": relative.delta,
             "num_pairs": relative.num_pairs,
         },
-    }
+    } | _consistency_figures(run_dir, estimate, truth, unavailable)
+
+
+def _consistency_figures(
+    run_dir: Path, estimate: Trajectory, truth: Trajectory, unavailable: dict[str, str]
+) -> dict[str, Any]:
+    """How well the covariances cover the errors; without them the reason is added to `unavailable`."""
+    try:
+        timestamps, covariances = read_covariances(run_dir / "trajectory_covariance.txt")
+        if not np.array_equal(timestamps, estimate.timestamps):
+            raise InputError("trajectory_covariance.txt is of other frames than trajectory.txt")
+        found = nees(estimate, covariances, truth)
+    except InputError as error:
+        unavailable["nees"] = str(error)
+        return {}
+    return {"nees": {"mean": found.mean, "within_3_sigma": found.share_within(3.0)}}
 
 
 def _lpips_weights(unavailable: dict[str, str]) -> LpipsWeights | None:

@@ -154,6 +154,22 @@ def adjoints_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6 
     return adjoints
 
 
+def composed_covariances(
+    first: Float[np.ndarray, "n 6 6"], T_b_c: Float[np.ndarray, "n 4 4"], second: Float[np.ndarray, "n 6 6"]
+) -> Float[np.ndarray, "n 6 6"]:
+    """Covariances of the tangents of `T_a_c`, to first order; on the host.
+
+    Source: Barfoot and Furgale, Associating Uncertainty with Three-Dimensional Poses (2014), equation 51.
+
+    Args:
+        first: of the tangents of `T_a_b`.
+        T_b_c: homogeneous matrices.
+        second: of the tangents of `T_b_c`, independent of the first.
+    """
+    adjoints = adjoints_of(np.linalg.inv(T_b_c))
+    return adjoints @ first @ np.swapaxes(adjoints, 1, 2) + second
+
+
 def logs_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:
     """Tangents (translation first) of homogeneous matrices on the host, in float64."""
     w, t = rotation_vectors(matrices[:, :3, :3]), matrices[:, :3, 3]

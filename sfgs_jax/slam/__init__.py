@@ -21,6 +21,7 @@ from sfgs_jax.slam.frontend import observe as observe
 from sfgs_jax.slam.frontend import register as register
 from sfgs_jax.slam.frontend import track as track
 from sfgs_jax.slam.frontend import tracker_params as tracker_params
+from sfgs_jax.slam.keyframes import Adjusted as Adjusted
 from sfgs_jax.slam.keyframes import Window as Window
 from sfgs_jax.slam.keyframes import adjust as adjust
 from sfgs_jax.slam.keyframes import estimated_depth as estimated_depth

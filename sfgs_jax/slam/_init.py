@@ -4,6 +4,7 @@ from sfgs_jax.geometry import Camera
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import init_tracker, offsets_in_use, tracker_params
+from sfgs_jax.slam.keyframes import prior_noise
 from sfgs_jax.slam.state import SlamState, empty_graph, empty_log, empty_map_state
 
 
@@ -25,7 +26,7 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
         config=config,
         params=params,
         tracker=init_tracker(params),
-        graph=empty_graph(offsets_in_use(params)),
+        graph=empty_graph(offsets_in_use(params), prior_noise(config.graph)),
         mapping=empty_map_state(config.mapping),
         log=empty_log(),
         next_frame=0,

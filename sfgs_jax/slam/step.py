@@ -9,12 +9,14 @@ from typing import NamedTuple
 
 import jax
 import jaxlie
+import numpy as np
+from jaxtyping import Float
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Frame, se3
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth
-from sfgs_jax.slam.keyframes import advance_graph, with_new_keyframes
+from sfgs_jax.slam.keyframes import advance_graph, motion_covariance, with_new_keyframes
 from sfgs_jax.slam.mapping import map_frame, view_is_due, view_of
 from sfgs_jax.slam.state import (
     PoseSource,
@@ -22,6 +24,7 @@ from sfgs_jax.slam.state import (
     Stages,
     StepInfo,
     View,
+    covariances_of,
     mapping_factor,
     untimed,
 )
@@ -99,15 +102,17 @@ def follow(
         grown = len(graph.keyframes) > len(before.graph.keyframes)
         graph, closed = advance_graph(params, graph, config, grown=grown)
         state = with_graph(state, graph)
-    keyframe, T_keyframe_cam = _place_in_graph(state, found, info)
-    log = state.log.with_frame(float(frame.timestamp), number, keyframe, T_keyframe_cam)
+    keyframe, T_keyframe_cam, covariance = _place_in_graph(state, found, info)
+    log = state.log.with_frame(float(frame.timestamp), number, keyframe, T_keyframe_cam, covariance)
     view, recent = None, [k.frame for k in graph.keyframes[-2:]]
     interval = state.config.mapping.view_interval
     if view_is_due(number, state.last_view, recent, interval, new_keyframe=info.new_keyframe):
         factor = mapping_factor(state.camera, state.config.mapping)
         view = view_of(with_corrected_depth(params, frame), factor, keyframe, T_keyframe_cam, number)
     state = replace(state, log=log, last_view=state.last_view if view is None else number)
-    info = info._replace(T_world_cam=state.T_world_cam, new_view=view is not None, loop_closed=closed)
+    covariance = covariances_of(log, graph, slice(-1, None))[0]
+    info = info._replace(T_world_cam=state.T_world_cam, covariance=covariance)
+    info = info._replace(new_view=view is not None, loop_closed=closed)
     return Followed(state, info, view)
 
 
@@ -118,6 +123,7 @@ def _info(found: TrackInfo, relocalised: bool) -> StepInfo:
     source, new_keyframe, fraction, rmse, matches, inliers = jax.device_get((*wanted, by.matched.num_inliers))
     return StepInfo(
         T_world_cam=found.T_world_cam,
+        covariance=np.diag(np.full(6, np.inf)),
         tracked=int(source) != PoseSource.LOST,
         source=PoseSource(int(source)),
         relocalised=relocalised,
@@ -132,8 +138,12 @@ def _info(found: TrackInfo, relocalised: bool) -> StepInfo:
     )
 
 
-def _place_in_graph(state: SlamState, found: TrackInfo, info: StepInfo) -> tuple[int, jaxlie.SE3]:
-    """Number of the keyframe that the frame belongs to, and its pose there."""
+def _place_in_graph(
+    state: SlamState, found: TrackInfo, info: StepInfo
+) -> tuple[int, jaxlie.SE3, Float[np.ndarray, "6 6"]]:
+    """Number of the keyframe that the frame belongs to, its pose there, and the covariance of that."""
     if info.new_keyframe:
-        return len(state.graph.keyframes) - 1, se3.identity()
-    return int(found.reference), found.T_reference_cam
+        return len(state.graph.keyframes) - 1, se3.identity(), np.zeros((6, 6))
+    free_sigma = state.config.tracking.motion_model_sigma
+    covariance = motion_covariance(found.registration, state.graph.noise, free_sigma)
+    return int(found.reference), found.T_reference_cam, covariance

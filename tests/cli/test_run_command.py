@@ -15,7 +15,7 @@ import pytest
 
 from sfgs_jax.cli import COMMANDS, Command, main, run_command
 from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, prefetch, write_recording
-from sfgs_jax.geometry import read_tum
+from sfgs_jax.geometry import read_covariances, read_tum
 from sfgs_jax.slam import OUTPUT_FILES
 from sfgs_jax.splatting import load_ply
 
@@ -101,12 +101,16 @@ def test_writes_every_output(finished):
     assert {path.name for path in finished.iterdir()} == WRITTEN
     trajectory = read_tum(finished / "trajectory.txt")
     assert len(trajectory) == NUM_FRAMES
+    timestamps, covariances = read_covariances(finished / "trajectory_covariance.txt")
+    np.testing.assert_array_equal(timestamps, trajectory.timestamps)
+    assert np.linalg.eigvalsh(covariances[1:]).min() > 0
     keyframes = read_tum(finished / "keyframes.txt")
     assert set(keyframes.timestamps) <= set(trajectory.timestamps)
     metrics = json.loads((finished / "metrics.json").read_text())
     assert metrics["frames"]["total"] == metrics["frames"]["tracked"] == NUM_FRAMES
     assert int(np.sum(load_ply(finished / "map.ply").valid)) == metrics["map"]["gaussians"] > 500
     assert metrics["ate"]["rmse_m"] < 0.03
+    assert metrics["nees"]["within_3_sigma"] == 1
     assert metrics["psnr"]["all"] > 18
     assert {"tracking", "graph", "view", "mapping"} <= set(metrics["stages"])
     # All of the run has the compilation and the refinement besides.

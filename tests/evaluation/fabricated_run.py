@@ -8,7 +8,7 @@ import numpy as np
 
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.evaluation import MapRenderer
-from sfgs_jax.geometry import Camera, Frame, Trajectory, format_tum
+from sfgs_jax.geometry import Camera, Frame, Trajectory, format_covariances, format_tum
 from sfgs_jax.splatting import Gaussians, save_ply
 
 CAMERA = Camera(60.0, 60.0, 31.5, 23.5, width=64, height=48)
@@ -65,6 +65,8 @@ def fabricate(folder: Path) -> ListRecording:
     gaussians, trajectory = coloured_wall(), path()
     (folder / "trajectory.txt").write_text(format_tum(trajectory))
     (folder / "keyframes.txt").write_text(format_tum(trajectory[KEYFRAMES]))
+    covariances = 1e-6 * np.arange(NUM_FRAMES)[:, None, None] * np.eye(6)
+    (folder / "trajectory_covariance.txt").write_text(format_covariances(trajectory.timestamps, covariances))
     save_ply(folder / "map.ply", gaussians)
     render = MapRenderer(gaussians, CAMERA)
     frames = []

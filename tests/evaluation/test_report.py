@@ -98,6 +98,7 @@ def test_the_page_says_what_the_metrics_say(run):
     assert "slam.window" in text
     assert "Cannot read the LPIPS weights" in text
     assert "Position error" in text
+    assert "3 σ from the first camera" in text
     assert "made <up>" in text  # escaped in the source, so it is text
 
 
@@ -108,6 +109,7 @@ def test_without_ground_truth_there_is_a_reason_and_no_error_plot(run):
     text = _Page(write_report(folder, recording, num_views=2).read_text()).text
     assert "the recording has no ground truth" in text
     assert "Position error" not in text
+    assert "Deviation of the position" in text
     assert "From above" in text
 
 

@@ -131,7 +131,14 @@ def test_keyframes_that_came_meanwhile_move_with_their_reference(run):
     poses = np.concatenate([run.graph.poses[:2], moved[None]])
     none = np.zeros(0, int)
     found = Adjustment(
-        np.arange(3), none, jnp.asarray(poses), jnp.zeros((0, 3)), jnp.asarray(int(Status.CONVERGED)), 0
+        members=np.arange(3),
+        anchor=0,
+        landmarks=none,
+        poses=jnp.asarray(poses),
+        covariances=jnp.zeros((3, 6, 6)),
+        points=jnp.zeros((0, 3)),
+        status=jnp.asarray(int(Status.CONVERGED)),
+        frames_left=0,
     )
     graph = replace(run.graph, landmarks=Landmarks(none, np.zeros((0, 3))), adjustment=found)
     after = with_adjustment_taken(graph)

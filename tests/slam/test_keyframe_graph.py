@@ -53,7 +53,13 @@ def drifted(room, config, circle):
             tracked = se3.compose(se3.from_matrix(np.linalg.inv(circle[i]) @ circle[i + 1]), drift)
             edges.append(edge(i, i + 1, tracked))
             T = se3.compose(T, tracked)
-    graph = replace(state.graph, keyframes=tuple(keyframes), poses=np.stack(poses), edges=tuple(edges))
+    graph = replace(
+        state.graph,
+        keyframes=tuple(keyframes),
+        poses=np.stack(poses),
+        covariances=np.zeros((COUNT, 6, 6)),
+        edges=tuple(edges),
+    )
     return replace(state, graph=graph)
 
 
@@ -169,7 +175,7 @@ def with_pose(graph, number, T_world_cam):
 
 
 def test_frames_follow_their_keyframe(drifted):
-    log = drifted.log.with_frame(1.0, 3, 2, se3.exp(jnp.asarray([0.1, 0, 0, 0, 0, 0.0])))
+    log = drifted.log.with_frame(1.0, 3, 2, se3.exp(jnp.asarray([0.1, 0, 0, 0, 0, 0.0])), np.zeros((6, 6)))
     state = replace(drifted, log=log)
     moved = se3.exp(jnp.asarray([0.0, 0.5, 0.0, 0.2, 0.0, 0.0]))
     after = replace(state, graph=with_pose(state.graph, 2, se3.compose(moved, state.graph.pose(2))))
@@ -184,7 +190,7 @@ def test_frames_between_two_keyframes_share_out_what_the_graph_found(drifted):
     step = jaxlie.SE3(jnp.asarray(drifted.graph.edges[0].T_target_source))
     half = se3.exp(se3.log(step) / 2)
     for number, keyframe, motion in ((0, 0, se3.identity()), (5, 0, half), (10, 1, se3.identity())):
-        log = log.with_frame(number / 30, number, keyframe, motion)
+        log = log.with_frame(number / 30, number, keyframe, motion, np.zeros((6, 6)))
     before = replace(drifted, log=log).trajectory.poses
     shift = se3.exp(jnp.asarray([0.04, 0.0, 0.0, 0.0, 0.02, 0.0]))
     # The order of the edges has no meaning.

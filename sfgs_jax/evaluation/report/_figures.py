@@ -104,6 +104,8 @@ def trajectory_table(metrics: dict[str, Any]) -> str:
         ("ATE maximum", ("ate", "max_m"), 100, "cm"),
         ("RPE translation, frame to frame", ("rpe", "trans_m"), 100, "cm"),
         ("RPE rotation, frame to frame", ("rpe", "rot_deg"), 1, "°"),
+        ("NEES of the covariances (6 is right)", ("nees", "mean"), 1, ""),
+        ("Poses within three standard deviations", ("nees", "within_3_sigma"), 100, "%"),
     )
     rows = [
         (label, f"{value * factor:.2f} {unit}")
@@ -145,6 +147,6 @@ def _milliseconds(value: float | None) -> str:
 
 def other_figures(metrics: dict[str, Any]) -> str:
     """The figures that no other section shows."""
-    shown = {"ate", "rpe", "psnr", "ssim", "lpips_squeeze", "evaluated", "unavailable", "stages"}
+    shown = {"ate", "rpe", "nees", "psnr", "ssim", "lpips_squeeze", "evaluated", "unavailable", "stages"}
     rest = {key: value for key, value in metrics.items() if key not in shown}
     return foldable_values("Counts, memory and versions", rest, opened=True)

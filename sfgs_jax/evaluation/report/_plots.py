@@ -78,22 +78,35 @@ def plot_paths(estimate: Trajectory, keyframes: Trajectory, truth: Trajectory | 
         return _svg(figure)
 
 
-def plot_errors(absolute: Ate) -> str:
-    """Position error over time, as SVG."""
+def plot_errors(
+    absolute: Ate | None, deviations: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]] | None
+) -> str:
+    """Position error over time, and three times the standard deviation that the run gives it, as SVG.
+
+    Args:
+        absolute: the errors; None without ground truth.
+        deviations: time stamps, and standard deviations in metres; None if unknown. One of both is known.
+    """
     import matplotlib
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(10, 2.4), layout="constrained")
         axes = figure.subplots()
-        seconds, errors = absolute.timestamps - absolute.timestamps[0], 100 * absolute.errors_m
-        axes.fill_between(seconds, errors, color=_ESTIMATE, alpha=0.12, linewidth=0)
-        axes.plot(seconds, errors, color=_ESTIMATE, linewidth=1.3)
-        axes.axhline(100 * absolute.rmse_m, color=_ERROR, linewidth=1, linestyle="--")
-        axes.set_title(f"RMSE {100 * absolute.rmse_m:.2f} cm", loc="right", color=_ERROR, fontsize=10)
-        axes.set_title("Position error", loc="left", fontweight="bold")
+        if deviations is not None:
+            seconds, band = deviations[0] - deviations[0][0], 300 * deviations[1]
+            axes.fill_between(seconds, band, color=_TRUTH, alpha=0.25, linewidth=0)
+            axes.plot(seconds, band, color=_TRUTH, linewidth=1, label="3 σ from the first camera")
+            axes.legend(loc="upper left")
+        if absolute is not None:
+            start = absolute.timestamps[0] if deviations is None else deviations[0][0]
+            axes.plot(absolute.timestamps - start, 100 * absolute.errors_m, color=_ESTIMATE, linewidth=1.3)
+            axes.axhline(100 * absolute.rmse_m, color=_ERROR, linewidth=1, linestyle="--")
+            axes.set_title(f"RMSE {100 * absolute.rmse_m:.2f} cm", loc="right", color=_ERROR, fontsize=10)
+        title = "Deviation of the position" if absolute is None else "Position error"
+        axes.set_title(title, loc="left", fontweight="bold")
         axes.set_xlabel("time (s)")
-        axes.set_ylabel("error (cm)")
+        axes.set_ylabel("cm")
         axes.set_ylim(bottom=0)
         axes.margins(x=0.01)
         return _svg(figure)

@@ -13,7 +13,7 @@ from sfgs_jax.evaluation.report._html import section, table
 from sfgs_jax.evaluation.report._pictures import depth_picture, depth_scale, rgb_picture
 from sfgs_jax.evaluation.report._plots import plot_depth_correction, plot_errors, plot_paths
 from sfgs_jax.evaluation.trajectory import ate
-from sfgs_jax.geometry import Trajectory, read_tum
+from sfgs_jax.geometry import Trajectory, read_covariances, read_tum
 
 SEEN_AT = 2.0
 """Depth at which the correction of depth is shown, metres."""
@@ -34,15 +34,25 @@ def trajectory_section(run_dir: Path, recording: Recording) -> str:
     estimate, keyframes = read_tum(run_dir / "trajectory.txt"), _keyframes(run_dir)
     if not len(estimate):
         return section("Trajectory", "<p>No frame has a pose.</p>")
-    truth, errors = None, ""
+    truth, absolute = None, None
     if recording.ground_truth is not None:
         try:
             absolute = ate(estimate, recording.ground_truth)
             truth = _in_world_of(absolute.T_reference_estimate, recording.ground_truth, estimate)
-            errors = plot_errors(absolute)
         except InputError:
             pass  # the section of missing figures gives the reason
+    deviations = _deviations(run_dir)
+    errors = plot_errors(absolute, deviations) if absolute or deviations else ""
     return section("Trajectory", plot_paths(estimate, keyframes, truth) + errors)
+
+
+def _deviations(run_dir: Path) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]] | None:
+    """Time stamps and standard deviations of the positions, metres; None if the run gave none."""
+    path = run_dir / "trajectory_covariance.txt"
+    if not path.exists():
+        return None
+    timestamps, covariances = read_covariances(path)
+    return timestamps, np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2))
 
 
 def sensors_section(run_dir: Path) -> str:

@@ -6,7 +6,7 @@ Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import associate
@@ -79,7 +79,7 @@ def ate(
     Raises:
         InputError: fewer than three poses have a reference pose in time.
     """
-    estimated, true = _paired(estimate, reference, max_difference_s, at_least=3)
+    estimated, true, _ = paired(estimate, reference, max_difference_s, at_least=3)
     alignment = align_points(estimated.positions, true.positions, with_scale=with_scale)
     errors = np.linalg.norm(alignment.transform(estimated.positions) - true.positions, axis=1)
     return Ate(
@@ -112,7 +112,7 @@ def rpe(
     """
     if delta < 1:
         raise InputError(f"The relative error goes over delta poses, at least 1: {delta} makes no motion.")
-    estimated, true = _paired(estimate, reference, max_difference_s, at_least=delta + 1)
+    estimated, true, _ = paired(estimate, reference, max_difference_s, at_least=delta + 1)
     errors = np.linalg.inv(_relative(true.poses, delta)) @ _relative(estimated.poses, delta)
     distances = np.linalg.norm(errors[:, :3, 3], axis=1)
     angles = np.degrees(_angles(errors[:, :3, :3]))
@@ -124,18 +124,29 @@ def rpe(
     )
 
 
-def _paired(
+def paired(
     estimate: Trajectory, reference: Trajectory, max_difference_s: float, at_least: int
-) -> tuple[Trajectory, Trajectory]:
-    """Estimated poses with their reference poses, in order of time."""
-    estimate, reference = (x[np.argsort(x.timestamps, kind="stable")] for x in (estimate, reference))
+) -> tuple[Trajectory, Trajectory, Int[np.ndarray, " k"]]:
+    """Estimated poses with their reference poses, in order of time, and the estimate's rows of these.
+
+    Args:
+        estimate: poses, in any order.
+        reference: poses, in any order.
+        max_difference_s: limit on the difference of paired time stamps, seconds.
+        at_least: pairs that are needed.
+
+    Raises:
+        InputError: there are fewer pairs.
+    """
+    order = np.argsort(estimate.timestamps, kind="stable")
+    estimate, reference = estimate[order], reference[np.argsort(reference.timestamps, kind="stable")]
     pairs = associate(estimate.timestamps, reference.timestamps, max_difference_s)
     if len(pairs) < at_least:
         raise InputError(
             f"Only {len(pairs)} of {len(estimate)} estimated poses have a reference pose within "
             f"{max_difference_s} s, and {at_least} are needed: check that both use the same clock."
         )
-    return estimate[pairs[:, 0]], reference[pairs[:, 1]]
+    return estimate[pairs[:, 0]], reference[pairs[:, 1]], order[pairs[:, 0]]
 
 
 def _relative(poses: Float[np.ndarray, "n 4 4"], delta: int) -> Float[np.ndarray, "m 4 4"]:

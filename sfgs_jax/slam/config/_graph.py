@@ -21,10 +21,10 @@ class GraphConfig:
     max_correction: float = 0.1
     """Largest disagreement between a neighbour's registration and the graph, metres and radians. A larger
     one is rejected as an edge, and examined as a loop."""
-    edge_sigma_metres: float = 0.005
-    """Standard deviation of a registration's systematic error, metres."""
-    edge_sigma_radians: float = 0.0035
-    """Standard deviation of a registration's systematic error, radians."""
+    edge_sigma_metres: float = 0.002
+    """Standard deviation of a registration's systematic error, metres, until cycles of edges tell it."""
+    edge_sigma_radians: float = 0.0015
+    """Standard deviation of a registration's systematic error, radians, until cycles of edges tell it."""
     registrations_per_frame: int = 1
     """Registrations between keyframes after each frame. Few of them keep every frame on time."""
     backlog: int = 10

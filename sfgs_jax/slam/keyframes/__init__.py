@@ -1,14 +1,19 @@
 """The keyframe graph at work: insertion, registrations, loops, adjustment, pose graph."""
 
+from sfgs_jax.slam.keyframes._adjustment import Adjusted as Adjusted
 from sfgs_jax.slam.keyframes._adjustment import Window as Window
 from sfgs_jax.slam.keyframes._adjustment import adjust as adjust
 from sfgs_jax.slam.keyframes._adjustment import window_of as window_of
+from sfgs_jax.slam.keyframes._covariances import covariances_in_world as covariances_in_world
+from sfgs_jax.slam.keyframes._covariances import motion_covariance as motion_covariance
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_begun as with_adjustment_begun
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_taken as with_adjustment_taken
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_frame_passed as with_frame_passed
 from sfgs_jax.slam.keyframes._depth_equations import DepthEquations as DepthEquations
 from sfgs_jax.slam.keyframes._depth_equations import depth_equations as depth_equations
 from sfgs_jax.slam.keyframes._depth_estimate import estimated_depth as estimated_depth
+from sfgs_jax.slam.keyframes._edge_noise import edge_noise as edge_noise
+from sfgs_jax.slam.keyframes._edge_noise import prior_noise as prior_noise
 from sfgs_jax.slam.keyframes._edges import edge_of as edge_of
 from sfgs_jax.slam.keyframes._edges import relative_poses as relative_poses
 from sfgs_jax.slam.keyframes._graph_step import advance_graph as advance_graph

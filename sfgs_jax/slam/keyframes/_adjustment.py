@@ -17,10 +17,12 @@ from sfgs_jax.factor_graph import (
     Solution,
     SolverConfig,
     Values,
+    marginal_covariances,
     solve,
 )
 from sfgs_jax.sensors import corrected_depth, grid_shares
 from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.keyframes._covariances import best_known
 from sfgs_jax.slam.keyframes._edges import relative_poses
 from sfgs_jax.slam.keyframes._landmarks import chosen, positions
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
@@ -42,6 +44,7 @@ class Window(eqx.Module):
         graph: reprojections of the landmarks, the surfaces' registrations between the keyframes, and loops.
         values: poses and landmarks to start from.
         members: (W,) number of the keyframe of each pose; -1 where unused.
+        anchor: place among them of the keyframe that covariances are relative to, the best known.
         landmarks: (L,) number of each landmark; -1 where unused.
         offsets: (W, G) by how much the depth correction has changed since the depth of each keyframe's
             keypoints was measured, 1/m.
@@ -50,12 +53,25 @@ class Window(eqx.Module):
     graph: FactorGraph
     values: Values
     members: Int[Array | np.ndarray, " W"]
+    anchor: Int[Array | np.ndarray, ""]
     landmarks: Int[Array | np.ndarray, " L"]
     offsets: Float[Array | np.ndarray, "W G"]
 
 
+class Adjusted(eqx.Module):
+    """Result of an adjustment.
+
+    Attributes:
+        solution: poses and landmarks, and how the solver got there.
+        covariances: (W, 6, 6) of the poses' tangents, metres and radians, as if the anchor were known.
+    """
+
+    solution: Solution
+    covariances: Float[Array, "W 6 6"]
+
+
 @jax.jit
-def adjust(params: TrackerParams, window: Window) -> Solution:
+def adjust(params: TrackerParams, window: Window) -> Adjusted:
     """Poses and landmarks of a window: GICP's registrations and reprojections in one Levenberg-Marquardt.
 
     A pure function on pytrees of fixed shapes, compiled once. SFGS-SLAM (Wang and Deng, 2025), section 3.3.
@@ -73,7 +89,12 @@ def adjust(params: TrackerParams, window: Window) -> Solution:
     graph = eqx.tree_at(
         lambda g: (_reprojections(g).camera, _reprojections(g).depth), window.graph, (params.camera, depth)
     )
-    return solve(graph, window.values, config=_SOLVER)
+    solution = solve(graph, window.values, config=_SOLVER)
+    # Poses that are held are held to spare time. They are known no better for it.
+    numbers = np.arange(graph.num_poses)
+    unknown = (jnp.asarray(window.members) >= 0) & (numbers != window.anchor)
+    graph = eqx.tree_at(lambda g: g.free_poses, graph, unknown)
+    return Adjusted(solution, marginal_covariances(graph, solution.values, poses=numbers).poses)
 
 
 def _reprojections(graph: FactorGraph) -> RgbdReprojection:
@@ -117,6 +138,7 @@ def window_of(
         problem,
         Values(jaxlie.SE3(jnp.asarray(poses)), jnp.asarray(points)),
         np.pad(members, (0, size - count), constant_values=-1),
+        np.asarray(best_known(graph.covariances[members])),
         np.pad(landmarks, (0, config.max_landmarks - len(landmarks)), constant_values=-1),
         offsets,
     )
@@ -168,6 +190,7 @@ def _registrations(graph: KeyframeGraph, config: GraphConfig, place: Int[np.ndar
         relative_poses(
             surfaces[-room:],
             room,
+            noise=graph.noise,
             offsets=graph.offsets,
             surface_only=True,
             kernel="huber",
@@ -176,6 +199,7 @@ def _registrations(graph: KeyframeGraph, config: GraphConfig, place: Int[np.ndar
         relative_poses(
             loops[-config.window :],
             config.window,
+            noise=graph.noise,
             offsets=graph.offsets,
             kernel="dynamic_covariance_scaling",
             kernel_width=config.kernel_width,

@@ -9,6 +9,7 @@ from sfgs_jax.factor_graph import Status
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._adjustment import adjust, window_of
+from sfgs_jax.slam.keyframes._covariances import covariances_in_world
 from sfgs_jax.slam.keyframes._landmarks import with_positions
 from sfgs_jax.slam.state._keyframe_graph import Adjustment, KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -32,13 +33,15 @@ def with_adjustment_begun(
     if len(graph.keyframes) < 2:
         return graph
     window = window_of(params, graph, config, around=around)
-    solution = _aside.submit(adjust, params, window).result()
+    found = _aside.submit(adjust, params, window).result()
     begun = Adjustment(
         members=np.asarray(window.members),
+        anchor=int(window.anchor),
         landmarks=np.asarray(window.landmarks),
-        poses=solution.values.poses.wxyz_xyz,
-        points=solution.values.landmarks,
-        status=solution.status,
+        poses=found.solution.values.poses.wxyz_xyz,
+        covariances=found.covariances,
+        points=found.solution.values.landmarks,
+        status=found.solution.status,
         frames_left=config.adjustment_frames,
     )
     return replace(graph, adjustment=begun)
@@ -73,8 +76,14 @@ def with_adjustment_taken(graph: KeyframeGraph) -> KeyframeGraph:
     if int(found.status) == Status.DIVERGED:
         return graph
     members = found.members[found.members >= 0]
-    poses = graph.poses.copy()
+    poses, covariances = graph.poses.copy(), graph.covariances.copy()
     poses[members] = np.asarray(found.poses)[: len(members)]
+    covariances[members] = covariances_in_world(
+        np.asarray(found.covariances, np.float64)[: len(members)],
+        poses[members],
+        graph.covariances[members],
+        found.anchor,
+    )
     for number in range(int(members.max()) + 1, len(poses)):
         reference = graph.keyframes[number].reference
         before, after, moving = se3.matrices_of(
@@ -82,4 +91,8 @@ def with_adjustment_taken(graph: KeyframeGraph) -> KeyframeGraph:
         )
         poses[number] = se3.parameters_of((after @ np.linalg.inv(before) @ moving)[None])[0]
     numbers = found.landmarks[found.landmarks >= 0]
-    return with_positions(replace(graph, poses=poses), numbers, np.asarray(found.points)[: len(numbers)])
+    return with_positions(
+        replace(graph, poses=poses, covariances=covariances),
+        numbers,
+        np.asarray(found.points)[: len(numbers)],
+    )

@@ -1,4 +1,4 @@
-"""Edges of the keyframe graph: registrations with their systematic error, and as a block of factors."""
+"""Edges of the keyframe graph: from registrations, and as a block of factors."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sfgs_jax.factor_graph import RelativePose
 from sfgs_jax.geometry import Kernel, se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.state._keyframe_graph import Edge
+from sfgs_jax.slam.state._keyframe_graph import Edge, EdgeNoise
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 
 _METRES, _RADIANS = 0.01, 0.007
@@ -22,7 +22,7 @@ deviation. Beyond it float32 leaves little of the gradient."""
 
 
 def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
-    """A registration as an edge of the graph, with the systematic part of its error; depth is not corrected.
+    """A registration as an edge of the graph; depth is not corrected.
 
     Args:
         target: number of the keyframe registered to.
@@ -34,25 +34,14 @@ def edge_of(target: int, source: int, found: Registration, config: GraphConfig) 
         target=target,
         source=source,
         T_target_source=np.asarray(found.T_target_source.wxyz_xyz),
-        information=_with_systematic_error(np.asarray(found.information, np.float64), config),
+        information=np.asarray(found.information),
         surface_motion=_surface_motion(found),
-        surface_information=_with_systematic_error(np.asarray(found.surface_information, np.float64), config),
+        surface_information=np.asarray(found.surface_information),
         revisit=source - target > config.loop_gap,
         loop=False,
         offsets=np.zeros(0),
         sensitivity=np.zeros((6, 0)),
     )
-
-
-def systematic_variances(config: GraphConfig) -> Float[np.ndarray, "6"]:
-    """Variances of a registration's error that more points or matches make no smaller, by tangent.
-
-    The depth camera's own distortion moves with the camera, and holds every registration back a little.
-
-    Args:
-        config: settings.
-    """
-    return np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3) ** 2
 
 
 def _surface_motion(found: Registration) -> Float[np.ndarray, "7"]:
@@ -79,56 +68,60 @@ def _surface_motion(found: Registration) -> Float[np.ndarray, "7"]:
     return _shifted(motion[None], (units * (vectors @ shares))[None])[0].astype(np.float32)
 
 
-def _with_systematic_error(
-    information: Float[np.ndarray, "6 6"], config: GraphConfig
-) -> Float[np.ndarray, "6 6"]:
-    """Information after the systematic error is added, (I^-1 + S)^-1.
+def motions_of(
+    edges: Sequence[Edge], offsets: Float[np.ndarray, " G"], *, surface_only: bool = False
+) -> Float[np.ndarray, "n 7"]:
+    """Motions of some edges, as wxyz_xyz.
 
-    Computed without the inverse of I, which is singular where the surface leaves directions free.
+    Args:
+        edges: at least one.
+        offsets: (G,) of the depth correction that they should be for.
+        surface_only: whether to take what the surface alone says.
     """
-    total = np.linalg.solve(np.eye(6) + information @ np.diag(systematic_variances(config)), information)
-    return ((total + total.T) / 2).astype(np.float32)
+    motions = np.stack([edge.surface_motion if surface_only else edge.T_target_source for edge in edges])
+    if not len(offsets):
+        return motions
+    return _shifted(motions, np.stack([edge.sensitivity @ (offsets - edge.offsets) for edge in edges]))
 
 
 def relative_poses(
     edges: Sequence[Edge],
     capacity: int,
     *,
-    offsets: Float[np.ndarray, " G"] | None = None,
-    first: int = 0,
+    noise: EdgeNoise,
+    offsets: Float[np.ndarray, " G"],
     surface_only: bool = False,
     kernel: Kernel = "none",
     kernel_width: float = 1.0,
 ) -> RelativePose:
-    """Edges as one padded block of factors.
+    """Edges as one padded block of factors, each with its part of what they say together.
 
     Args:
         edges: at most `capacity` of them.
         capacity: rows of the block.
-        offsets: of the depth correction that the motions should be for; each one's own if not given.
-        first: number of the keyframe that is pose 0 of the problem.
+        noise: of the edges.
+        offsets: (G,) of the depth correction that the motions should be for.
         surface_only: whether to take what the surface alone says.
         kernel: robust kernel.
-        kernel_width: its width, standard deviations.
+        kernel_width: its width, standard deviations of an edge.
     """
     count = len(edges)
     poses = np.tile(np.asarray([0, 1], np.int32), (capacity, 1))
     motions = np.tile(np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32), (capacity, 1))
     information = np.tile(np.eye(6, dtype=np.float32), (capacity, 1, 1))
-    for row, edge in enumerate(edges):
-        poses[row] = edge.target - first, edge.source - first
-        motions[row] = edge.surface_motion if surface_only else edge.T_target_source
-        information[row] = edge.surface_information if surface_only else edge.information
-    if offsets is not None and len(offsets) and count:
-        shifts = np.stack([edge.sensitivity @ (offsets - edge.offsets) for edge in edges])
-        motions[:count] = _shifted(motions[:count], shifts)
+    if count:
+        poses[:count] = [(edge.target, edge.source) for edge in edges]
+        motions[:count] = motions_of(edges, offsets, surface_only=surface_only)
+        told = [edge.surface_information if surface_only else edge.information for edge in edges]
+        information[:count] = noise.share(np.stack(told))
     return RelativePose(
         poses,
         jaxlie.SE3(jnp.asarray(motions)),
         jnp.asarray(information),
         valid=np.arange(capacity) < count,
         kernel=kernel,
-        kernel_width=kernel_width,
+        # The kernel judges an edge by its own deviations, not by those of its part.
+        kernel_width=kernel_width / noise.redundancy**0.5,
     )
 
 

@@ -16,6 +16,7 @@ from sfgs_jax.slam.keyframes._deferred_adjustment import (
     with_frame_passed,
 )
 from sfgs_jax.slam.keyframes._depth_estimate import with_new_offsets, with_registration
+from sfgs_jax.slam.keyframes._edge_noise import edge_noise
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, travelled, with_candidate
 from sfgs_jax.slam.keyframes._pose_graph import bend, optimise_poses
@@ -55,7 +56,8 @@ def advance_graph(
         graph, closed_now = _register_next(params, graph, config)
         closed |= closed_now
     if closed or (not graph.pending and (waited or grown)):
-        graph = _optimised(params, with_new_offsets(params, graph), config)
+        graph = with_new_offsets(params, graph)
+        graph = _optimised(params, replace(graph, noise=edge_noise(graph, config)), config)
     return graph, closed
 
 

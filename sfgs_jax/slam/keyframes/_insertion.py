@@ -7,6 +7,7 @@ import numpy as np
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import TrackInfo, features_in_use, offsets_in_use
+from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
@@ -87,12 +88,15 @@ def insert_keyframe(
         frame: its number in its source.
         config: settings.
     """
-    motion = found.T_target_source
-    pose = np.asarray(se3.compose(graph.pose(reference), motion).wxyz_xyz)
-    source = len(graph.keyframes)
-    graph = _with_keyframe(
-        params, graph, features, pose, np.asarray(motion.wxyz_xyz), reference=reference, frame=frame
+    motion = np.asarray(found.T_target_source.wxyz_xyz)
+    pose = np.asarray(se3.compose(graph.pose(reference), found.T_target_source).wxyz_xyz)
+    own = motion_covariance(found, graph.noise, params.config.motion_model_sigma)
+    covariance = se3.composed_covariances(
+        graph.covariances[reference][None], se3.matrices_of(motion[None]), own[None]
     )
+    source = len(graph.keyframes)
+    graph = _with_keyframe(params, graph, features, pose, motion, reference=reference, frame=frame)
+    graph = replace(graph, covariances=np.concatenate([graph.covariances[:-1], covariance]))
     if not config.enabled:
         return graph
     graph = share_landmarks(graph, reference, source, found)
@@ -124,7 +128,10 @@ def _with_keyframe(
         offsets=offsets_in_use(params),
     )
     return replace(
-        graph, keyframes=(*graph.keyframes, keyframe), poses=np.concatenate([graph.poses, pose[None]])
+        graph,
+        keyframes=(*graph.keyframes, keyframe),
+        poses=np.concatenate([graph.poses, pose[None]]),
+        covariances=np.concatenate([graph.covariances, np.zeros((1, 6, 6))]),
     )
 
 

@@ -66,8 +66,10 @@ def accept_consistent_loops(graph: KeyframeGraph, config: GraphConfig) -> tuple[
     if len(candidates) < config.loop_support:
         return graph, False
     poses = padded_poses(graph.poses, pose_capacity(graph, config))
+    # Each is judged by its own deviations.
+    noise = replace(graph.noise, redundancy=1.0)
     agreed = consistent_loops(
-        relative_poses(candidates, config.max_loop_candidates, offsets=graph.offsets),
+        relative_poses(candidates, config.max_loop_candidates, noise=noise, offsets=graph.offsets),
         Values(jaxlie.SE3(poses)),
     )
     if agreed.sum() < config.loop_support:

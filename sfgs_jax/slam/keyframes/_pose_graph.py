@@ -68,7 +68,12 @@ def _solved(
     )
     factors = [
         relative_poses(
-            edges, 2 * capacity, offsets=graph.offsets, kernel=kernel, kernel_width=config.kernel_width
+            edges,
+            2 * capacity,
+            noise=graph.noise,
+            offsets=graph.offsets,
+            kernel=kernel,
+            kernel_width=config.kernel_width,
         )
         for edges, kernel in kernels
     ]

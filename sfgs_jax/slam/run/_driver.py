@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.geometry import Camera, Frame, Trajectory
@@ -81,6 +82,11 @@ class Run:
     def trajectory(self) -> Trajectory:
         """Poses of the tracked frames, by where the graph has their keyframes now."""
         return self.state.trajectory
+
+    @property
+    def covariances(self) -> Float[np.ndarray, "n 6 6"]:
+        """Covariances of these poses: of tangents on the right, translation first, metres and radians."""
+        return self.state.covariances
 
     @property
     def keyframe_trajectory(self) -> Trajectory:

@@ -12,13 +12,15 @@ from pathlib import Path
 import jax
 
 from sfgs_jax.arrays import InputError, write_atomically
-from sfgs_jax.geometry import format_tum
+from sfgs_jax.geometry import format_covariances, format_tum
 from sfgs_jax.slam.run._driver import Run
 from sfgs_jax.slam.run._sensor_file import SENSOR_FILE, write_sensors
 from sfgs_jax.splatting import save_ply
 
+COVARIANCE_FILE = "trajectory_covariance.txt"
 OUTPUT_FILES = (
     "trajectory.txt",
+    COVARIANCE_FILE,
     "keyframes.txt",
     "map.ply",
     "metrics.json",
@@ -76,8 +78,10 @@ def write_run(run: Run, folder: Path) -> None:
 
 
 def write_trajectories(run: Run, folder: Path) -> None:
-    """Write `trajectory.txt` and `keyframes.txt`; cheap enough to be done again and again during a run."""
-    write_atomically(folder / "trajectory.txt", format_tum(run.trajectory))
+    """Write the paths and the covariances; cheap enough to be done again and again during a run."""
+    found = run.trajectory
+    write_atomically(folder / "trajectory.txt", format_tum(found))
+    write_atomically(folder / COVARIANCE_FILE, format_covariances(found.timestamps, run.covariances))
     write_atomically(folder / "keyframes.txt", format_tum(run.keyframe_trajectory))
 
 

@@ -24,7 +24,7 @@ from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
 from sfgs_jax.slam.state import Adjustment, Edge, Keyframe, MapState, SlamState, View
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -234,7 +234,9 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
 
 def _blank_adjustment() -> Adjustment:
     numbers = np.zeros(0, np.int64)
-    return Adjustment(numbers, numbers, jnp.zeros((0, 7)), jnp.zeros((0, 3)), jnp.asarray(0), 0)
+    return Adjustment(
+        numbers, 0, numbers, jnp.zeros((0, 7)), jnp.zeros((0, 6, 6)), jnp.zeros((0, 3)), jnp.asarray(0), 0
+    )
 
 
 def _bare_keyframe(keyframe: Keyframe) -> Keyframe:

@@ -7,6 +7,7 @@ from sfgs_jax.slam.state._depth_information import no_depth_information as no_de
 from sfgs_jax.slam.state._frame_features import FrameFeatures as FrameFeatures
 from sfgs_jax.slam.state._frame_features import Keypoints as Keypoints
 from sfgs_jax.slam.state._frame_log import FrameLog as FrameLog
+from sfgs_jax.slam.state._frame_log import covariances_of as covariances_of
 from sfgs_jax.slam.state._frame_log import empty_log as empty_log
 from sfgs_jax.slam.state._frame_log import trajectory_of as trajectory_of
 from sfgs_jax.slam.state._gaussian_map import GaussianMap as GaussianMap
@@ -15,6 +16,7 @@ from sfgs_jax.slam.state._gaussian_map import grow as grow
 from sfgs_jax.slam.state._gaussian_map import move as move
 from sfgs_jax.slam.state._keyframe_graph import Adjustment as Adjustment
 from sfgs_jax.slam.state._keyframe_graph import Edge as Edge
+from sfgs_jax.slam.state._keyframe_graph import EdgeNoise as EdgeNoise
 from sfgs_jax.slam.state._keyframe_graph import Keyframe as Keyframe
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph as KeyframeGraph
 from sfgs_jax.slam.state._keyframe_graph import Landmarks as Landmarks

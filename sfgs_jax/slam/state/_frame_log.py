@@ -21,14 +21,23 @@ class FrameLog:
         numbers: (n,) of the frames.
         keyframes: (n,) number of each frame's keyframe.
         motions: (n, 7) `T_keyframe_cam` as wxyz_xyz.
+        covariances: (n, 6, 6) of their tangents.
     """
 
     timestamps: Float[np.ndarray, " n"]
     numbers: Int[np.ndarray, " n"]
     keyframes: Int[np.ndarray, " n"]
     motions: Float[np.ndarray, "n 7"]
+    covariances: Float[np.ndarray, "n 6 6"]
 
-    def with_frame(self, timestamp: float, number: int, keyframe: int, motion: jaxlie.SE3) -> "FrameLog":
+    def with_frame(
+        self,
+        timestamp: float,
+        number: int,
+        keyframe: int,
+        motion: jaxlie.SE3,
+        covariance: Float[np.ndarray, "6 6"],
+    ) -> "FrameLog":
         """The log with one more frame.
 
         Args:
@@ -36,12 +45,14 @@ class FrameLog:
             number: of the frame in its source.
             keyframe: number of its keyframe.
             motion: `T_keyframe_cam`.
+            covariance: of its tangent.
         """
         return FrameLog(
             np.append(self.timestamps, timestamp),
             np.append(self.numbers, number),
             np.append(self.keyframes, keyframe),
             np.concatenate([self.motions, np.asarray(motion.wxyz_xyz)[None]]),
+            np.concatenate([self.covariances, np.asarray(covariance, np.float32)[None]]),
         )
 
     @property
@@ -87,6 +98,20 @@ def trajectory_of(log: FrameLog, graph: KeyframeGraph) -> Trajectory:
     return Trajectory(log.timestamps, poses)
 
 
+def covariances_of(
+    log: FrameLog, graph: KeyframeGraph, rows: slice = slice(None)
+) -> Float[np.ndarray, "n 6 6"]:
+    """Covariances of the frames' `T_world_cam`, of their tangents, as the graph knows their keyframes now.
+
+    Args:
+        log: the frames.
+        graph: their keyframes.
+        rows: frames wanted, all if not given.
+    """
+    known = graph.covariances[log.keyframes[rows]]
+    return se3.composed_covariances(known, se3.matrices_of(log.motions[rows]), log.covariances[rows])
+
+
 def _successors(graph: KeyframeGraph) -> dict[int, int]:
     """The earliest keyframe that was tracked in each keyframe."""
     found: dict[int, int] = {}
@@ -97,4 +122,10 @@ def _successors(graph: KeyframeGraph) -> dict[int, int]:
 
 def empty_log() -> FrameLog:
     """The log before the first frame."""
-    return FrameLog(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 7), np.float32))
+    return FrameLog(
+        np.zeros(0),
+        np.zeros(0, np.int64),
+        np.zeros(0, np.int64),
+        np.zeros((0, 7), np.float32),
+        np.zeros((0, 6, 6), np.float32),
+    )

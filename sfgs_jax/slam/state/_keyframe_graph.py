@@ -42,9 +42,9 @@ class Edge:
         target: number of the keyframe registered to.
         source: number of the keyframe registered, the later one.
         T_target_source: (7,) the motion found, as wxyz_xyz.
-        information: (6, 6) of its tangent, by surface and keypoints.
+        information: (6, 6) of its tangent, by surface and keypoints, as if all residuals erred on their own.
         surface_motion: (7,) the motion by the surface alone.
-        surface_information: (6, 6) of its tangent.
+        surface_information: (6, 6) of its tangent, likewise.
         revisit: whether it ties a place seen again to the keyframes from before, however small the drift.
         loop: whether it was accepted by its consistency with other loops.
         offsets: (G,) of the depth correction that it was found with, 1/m.
@@ -61,6 +61,32 @@ class Edge:
     loop: bool
     offsets: Float[np.ndarray, " G"]
     sensitivity: Float[np.ndarray, "6 G"]
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class EdgeNoise:
+    """What edges err by beyond their information, and how often they say the same.
+
+    Attributes:
+        covariance: (6, 6) of an edge's tangent, by errors that all its residuals have in common.
+        redundancy: edges per motion from one keyframe to the next. The images of n keyframes hold n - 1
+            independent motions, however many pairs of them are registered.
+    """
+
+    covariance: Float[np.ndarray, "6 6"]
+    redundancy: float
+
+    def share(self, information: Float[np.ndarray, "n 6 6"]) -> Float[np.ndarray, "n 6 6"]:
+        """Information that each of n edges adds to that of the others.
+
+        Args:
+            information: as if all residuals erred on their own.
+        """
+        # (I^-1 + S)^-1 without the inverse of I, which is singular where the surface leaves directions free.
+        told = information.astype(np.float64)
+        total = np.linalg.solve(np.eye(6) + told @ self.covariance, told)
+        return (total + np.swapaxes(total, 1, 2)) / (2 * self.redundancy)
 
 
 @pytree
@@ -91,16 +117,20 @@ class Adjustment:
 
     Attributes:
         members: (W,) number of the keyframe of each pose; -1 where unused.
+        anchor: place among them of the keyframe that the covariances are relative to.
         landmarks: (L,) number of each landmark; -1 where unused.
         poses: (W, 7) poses found, as wxyz_xyz.
+        covariances: (W, 6, 6) of their tangents, as if the anchor were known.
         points: (L, 3) landmarks found, world coordinates in metres.
         status: a `factor_graph.Status`; there is no result if it is `DIVERGED`.
         frames_left: frames until the results are taken.
     """
 
     members: Int[np.ndarray, " W"]
+    anchor: int
     landmarks: Int[np.ndarray, " L"]
     poses: Float[Array, "W 7"]
+    covariances: Float[Array, "W 6 6"]
     points: Float[Array, "L 3"]
     status: Int[Array, ""]
     frames_left: int
@@ -114,7 +144,9 @@ class KeyframeGraph:
     Attributes:
         keyframes: nodes, oldest first.
         poses: (n, 7) their `T_world_cam` as wxyz_xyz, on the host.
+        covariances: (n, 6, 6) of the poses' tangents; the first camera, which is the world frame, has none.
         edges: registrations that were accepted, in their order.
+        noise: of the edges.
         num_absorbed: how many of them the poses hold already.
         pending: pairs (target, source) still to be registered, the next one first.
         candidates: registrations that may be loops, and wait for others that agree.
@@ -126,7 +158,9 @@ class KeyframeGraph:
 
     keyframes: tuple[Keyframe, ...]
     poses: Float[np.ndarray, "n 7"]
+    covariances: Float[np.ndarray, "n 6 6"]
     edges: tuple[Edge, ...]
+    noise: EdgeNoise
     num_absorbed: int
     pending: tuple[tuple[int, int], ...]
     candidates: tuple[Edge, ...]
@@ -149,16 +183,19 @@ class KeyframeGraph:
         return jaxlie.SE3(self.poses[number])
 
 
-def empty_graph(offsets: Float[np.ndarray, " G"]) -> KeyframeGraph:
+def empty_graph(offsets: Float[np.ndarray, " G"], noise: EdgeNoise) -> KeyframeGraph:
     """The graph before the first keyframe.
 
     Args:
         offsets: of the depth correction to start from, 1/m; none if depth is not corrected.
+        noise: of the edges to come.
     """
     return KeyframeGraph(
         keyframes=(),
         poses=np.zeros((0, 7), np.float32),
+        covariances=np.zeros((0, 6, 6)),
         edges=(),
+        noise=noise,
         num_absorbed=0,
         pending=(),
         candidates=(),

@@ -3,11 +3,13 @@
 from dataclasses import dataclass, field
 
 import jaxlie
+import numpy as np
+from jaxtyping import Float
 
 from sfgs_jax.arrays import pytree
 from sfgs_jax.geometry import Camera, Trajectory
 from sfgs_jax.slam.config import MappingConfig, SlamConfig
-from sfgs_jax.slam.state._frame_log import FrameLog, trajectory_of
+from sfgs_jax.slam.state._frame_log import FrameLog, covariances_of, trajectory_of
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._map_state import MapState
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
@@ -67,6 +69,11 @@ class SlamState:
     def trajectory(self) -> Trajectory:
         """Poses of the tracked frames, by where their keyframes are now."""
         return trajectory_of(self.log, self.graph)
+
+    @property
+    def covariances(self) -> Float[np.ndarray, "n 6 6"]:
+        """Covariances of these poses: of tangents on the right, translation first, metres and radians."""
+        return covariances_of(self.log, self.graph)
 
 
 def mapping_factor(camera: Camera, config: MappingConfig) -> int:

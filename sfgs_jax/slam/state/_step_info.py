@@ -5,6 +5,8 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple
 
 import jaxlie
+import numpy as np
+from jaxtyping import Float
 
 from sfgs_jax.slam.state._registration import PoseSource
 
@@ -26,6 +28,8 @@ class StepInfo(NamedTuple):
 
     Attributes:
         T_world_cam: the frame's pose; the last known one where it was lost.
+        covariance: (6, 6) of its tangent on the right, translation first, metres and radians; infinite where
+            the frame was lost.
         tracked: whether that pose is known.
         source: residuals that it rests on.
         relocalised: whether the frame was found by its looks, after it or those before it had been lost.
@@ -40,6 +44,7 @@ class StepInfo(NamedTuple):
     """
 
     T_world_cam: jaxlie.SE3
+    covariance: Float[np.ndarray, "6 6"]
     tracked: bool
     source: PoseSource
     relocalised: bool

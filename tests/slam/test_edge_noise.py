@@ -1,0 +1,118 @@
+"""Noise of the edges by their cycles, and the covariances of poses that follow from it."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+from registrations import registration
+
+from sfgs_jax import slam
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.keyframes import covariances_in_world, edge_noise, motion_covariance, prior_noise
+from sfgs_jax.slam.state import Edge, EdgeNoise
+
+COUNT, REACH = 40, 4
+SCALES = np.repeat([0.004, 0.003], 3)
+
+
+def edges_with(errors, pairs, poses):
+    """Edges of true motions that err by some tangents."""
+    none, information = np.zeros(0), 1e8 * np.eye(6, dtype=np.float32)
+    found = []
+    for (a, b), error in zip(pairs, errors, strict=True):
+        motion = se3.from_matrix(np.linalg.inv(poses[a]) @ poses[b])
+        motion = np.asarray(se3.compose(motion, se3.exp(jnp.asarray(error, jnp.float32))).wxyz_xyz)
+        told = (motion, information)
+        found.append(Edge(a, b, *told, *told, False, False, none, np.zeros((6, 0))))
+    return tuple(found)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Covariance that mixes turns and shifts, as a scene ahead of the camera does."""
+    rng = np.random.default_rng(3)
+    root = np.linalg.qr(rng.normal(size=(6, 6)))[0] * np.asarray([1.5, 1.2, 1.0, 0.8, 0.6, 0.4])
+    return SCALES[:, None] * (root @ root.T) * SCALES
+
+
+@pytest.fixture(scope="module")
+def graph(truth, room, config):
+    """A camera on an arc, each keyframe registered to the four before it."""
+    rng = np.random.default_rng(4)
+    tangents = jnp.asarray(np.outer(np.arange(COUNT), [0.1, 0, 0.02, 0, 0.05, 0]), jnp.float32)
+    poses = se3.to_matrices(se3.exp(tangents))
+    pairs = [(a, b) for b in range(COUNT) for a in range(max(0, b - REACH), b)]
+    errors = rng.multivariate_normal(np.zeros(6), truth, len(pairs))
+    # Short motions commute nearly, so that the errors around a cycle simply add up.
+    state = slam.init(room.camera, config)
+    return replace(state.graph, edges=edges_with(errors, pairs, poses))
+
+
+def test_the_cycles_tell_the_covariance(graph, truth, config):
+    """All its directions, to a third of their deviations, from three times as many edges as keyframes."""
+    noise = edge_noise(graph, config.graph)
+    assert noise.redundancy == pytest.approx(len(graph.edges) / (COUNT - 1))
+    root = np.linalg.inv(np.linalg.cholesky(truth))
+    ratios = np.sqrt(np.linalg.eigvalsh(root @ noise.covariance @ root.T))
+    assert 0.67 < ratios.min() < ratios.max() < 1.33
+
+
+def test_wrong_edges_tell_little(graph, config, rng):
+    """Four edges in a hundred and fifty are off by half a metre."""
+    off = se3.exp(jnp.asarray([0.5, 0, 0, 0, 0, 0.2]))
+    edges = list(graph.edges)
+    for number in rng.choice(len(edges), 4, replace=False):
+        motion = se3.compose(jaxlie.SE3(jnp.asarray(edges[number].surface_motion)), off)
+        edges[number] = replace(edges[number], surface_motion=np.asarray(motion.wxyz_xyz))
+    before, after = (
+        np.sqrt(np.diag(edge_noise(replace(graph, edges=tuple(e)), config.graph).covariance))
+        for e in (graph.edges, edges)
+    )
+    assert (after < 2 * before).all()
+
+
+def test_without_cycles_the_settings_hold(graph, config):
+    chain = replace(graph, edges=tuple(e for e in graph.edges if e.source - e.target == 1))
+    noise = edge_noise(chain, config.graph)
+    assert noise.redundancy == 1
+    np.testing.assert_array_equal(noise.covariance, prior_noise(config.graph).covariance)
+    sigmas = np.repeat([config.graph.edge_sigma_metres, config.graph.edge_sigma_radians], 3)
+    np.testing.assert_allclose(np.sqrt(np.diag(noise.covariance)), sigmas)
+
+
+def test_an_edge_adds_its_share(truth):
+    """Covariances add up, free directions stay free, and two equal edges say as much as one."""
+    noise = EdgeNoise(truth, 2.0)
+    known, wall = 1e6 * np.eye(6), np.diag([0, 0, 1e6, 1e6, 1e6, 0])
+    shares = noise.share(np.stack([known, wall]))
+    np.testing.assert_allclose(np.linalg.inv(2 * shares[0]), 1e-6 * np.eye(6) + truth, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(shares[1][[0, 1, 5]], 0, atol=1e-3)
+    assert np.linalg.matrix_rank(shares[1], tol=1.0) == 3
+
+
+def test_a_pose_by_the_motion_model_has_its_deviation(truth):
+    noise = EdgeNoise(truth, 1.0)
+    wall = replace(
+        registration(se3.identity()),
+        surface_information=jnp.diag(jnp.asarray([0, 0, 1e6, 1e6, 1e6, 0])),
+        source=jnp.asarray(int(slam.PoseSource.MOTION_MODEL)),
+    )
+    sigmas = np.sqrt(np.diag(motion_covariance(wall, noise, 0.1)))
+    np.testing.assert_allclose(sigmas[[0, 1, 5]], 0.1, rtol=0.01)
+    np.testing.assert_allclose(sigmas[2:5], np.sqrt(1e-6 + np.diag(truth)[2:5]), rtol=0.01)
+
+
+def test_covariances_are_at_least_the_anchors(rng):
+    """Of three keyframes the last was known well by others; the anchor's turn moves the second sideways."""
+    found = np.zeros((3, 6, 6))
+    found[1:] = np.diag(np.full(6, 1e-6))
+    before = np.stack([np.diag([1e-6] * 3 + [1e-4] * 3), np.eye(6), np.diag(np.full(6, 1e-7))])
+    poses = np.tile(np.asarray([1, 0, 0, 0, 0, 0, 0], float), (3, 1))
+    poses[1, 4:] = [0, 0, 2.0]
+    after = covariances_in_world(found, poses, before, 0)
+    np.testing.assert_allclose(np.diag(after[1]), [4e-4 + 2e-6] * 2 + [2e-6] + [1e-4 + 1e-6] * 3, rtol=1e-6)
+    np.testing.assert_array_equal(after[2], before[2])
+    world = covariances_in_world(found, poses, np.concatenate([np.zeros((1, 6, 6)), before[1:]]), 0)
+    np.testing.assert_array_equal(world, found)
