@@ -12,6 +12,7 @@ from sfgs_jax import slam
 from sfgs_jax.factor_graph import RelativePose, Status
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.keyframes import (
+    advance_graph,
     edge_of,
     positions,
     with_adjustment_begun,
@@ -167,6 +168,14 @@ def test_a_run_saved_during_an_adjustment_goes_on_to_the_bit(room, frames, confi
     assert resumed is not None
     np.testing.assert_array_equal(state.graph.poses, resumed.graph.poses)
     np.testing.assert_array_equal(state.trajectory.poses, resumed.trajectory.poses)
+
+
+def test_a_pair_that_is_registered_again_replaces_its_edge(run, config):
+    pairs = [(edge.target, edge.source) for edge in run.graph.edges]
+    graph = replace(run.graph, pending=(pairs[1],), adjustment=None, num_absorbed=len(pairs))
+    after, _ = advance_graph(run.params, graph, config.graph, grown=False)
+    again = [(edge.target, edge.source) for edge in after.edges]
+    assert again == [pairs[0], *pairs[2:], pairs[1]]
 
 
 def test_finish_leaves_nothing_waiting_and_more_frames_may_follow(run, room, frames):

@@ -39,14 +39,21 @@ def drifted(room, config, circle):
     """A state whose keyframes went round that circle with an error in each step."""
     state = slam.init(room.camera, replace(config, graph=replace(config.graph, loop_gap=6)))
     drift = se3.exp(jnp.asarray([0.008, 0.004, 0.0, 0.0, 0.006, 0.0]))
-    features = feature_shapes(state.params)
+    features, still = feature_shapes(state.params), state.tracker.last_motion
     T, poses, keyframes, edges = se3.identity(), [], [], []
     tracked = se3.identity()
     for i in range(COUNT):
         poses.append(np.asarray(T.wxyz_xyz))
         keyframes.append(
             Keyframe(
-                features, np.full(4, -1), 10 * i, max(i - 1, 0), np.asarray(tracked.wxyz_xyz), np.zeros(0)
+                features,
+                np.full(4, -1),
+                10 * i,
+                max(i - 1, 0),
+                np.asarray(tracked.wxyz_xyz),
+                np.zeros(0),
+                still,
+                0,
             )
         )
         if i + 1 < COUNT:

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax import gicp
+from sfgs_jax import gicp, slam
 from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam import frontend
-from sfgs_jax.slam.state import FrameFeatures, Keypoints
+from sfgs_jax.slam.keyframes import prior_noise, rectified_anew, with_first_motion
+from sfgs_jax.slam.state import Edge, FrameFeatures, Keyframe, Keypoints, empty_graph
 from sfgs_jax.superfeats import Features
 
 FAULTS = KinectFaults(depth_delay=0.015, depth_readout=0.025)
@@ -93,3 +94,59 @@ def test_a_camera_that_stands_still_changes_nothing(recordings, seen):
     found = rectified(seen, recordings[0].camera, still)
     np.testing.assert_allclose(found.cloud.levels[0].surface, seen.cloud.levels[0].surface, atol=1e-6)
     np.testing.assert_allclose(found.keypoints.depth, seen.keypoints.depth, rtol=1e-6)
+
+
+@pytest.fixture
+def early(recordings, seen):
+    """A graph whose first keyframe was taken before its motion was known, tied to a second and a third."""
+    config = slam.SlamConfig()
+    params = slam.tracker_params(
+        recordings[0].camera,
+        replace(config.tracking, features=replace(config.tracking.features, kind="none")),
+    )
+    unknown = gicp.RowMotion(jnp.zeros(6), SensorTiming(), jnp.asarray(False))
+    none, one = np.zeros(0), np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32)
+    matrix, free = np.eye(6, dtype=np.float32), np.zeros((6, 0))
+    keyframe = Keyframe(
+        features=seen,
+        landmarks=np.full(len(seen.keypoints.depth), -1),
+        frame=NUMBER,
+        reference=0,
+        T_reference_keyframe=one,
+        offsets=none,
+        motion=unknown,
+        edition=0,
+    )
+    edges = tuple(
+        Edge(a, b, one, matrix, one, matrix, revisit=False, loop=loop, offsets=none, sensitivity=free)
+        for a, b, loop in ((0, 1, False), (1, 2, False), (0, 2, True))
+    )
+    graph = empty_graph(none, prior_noise(config.graph))
+    return params, replace(graph, keyframes=(keyframe,), edges=edges, pending=((0, 1), (1, 2)))
+
+
+def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordings, seen, motion, early):
+    """In two steps it comes where it comes in one; its edges wait to be registered anew, but for the loop."""
+    params, graph = early
+    assert rectified_anew(params, graph, TIMING) is graph, "its motion is unknown"
+    graph = with_first_motion(graph, motion)
+    assert graph.keyframes[0].features is seen, "no times are known yet"
+    half = SensorTiming(*np.asarray(TIMING.vector, np.float32) / 2)
+    graph = rectified_anew(params, graph, half)
+    assert graph.pending == ((0, 1), (1, 2))
+    graph = rectified_anew(params, graph, TIMING)
+    assert [k.edition for k in graph.keyframes] == [2]
+    assert len(graph.edges) == 3, "they hold until they are replaced"
+    wanted = rectified(seen, recordings[0].camera, motion)
+    pairs = zip(graph.keyframes[0].features.cloud.levels, wanted.cloud.levels, strict=True)
+    for found, expected in pairs:
+        both = np.asarray(found.valid & expected.valid)
+        assert both.mean() > 0.9 * np.mean(expected.valid)
+        assert off_surface(found, expected) < 5e-4
+
+
+def test_times_that_change_little_leave_keyframes_as_they_are(motion, early):
+    params, graph = early
+    graph = rectified_anew(params, with_first_motion(graph, motion), TIMING)
+    near = SensorTiming(*np.asarray(TIMING.vector, np.float32) + 2e-4)
+    assert rectified_anew(params, graph, near) is graph

@@ -19,6 +19,7 @@ from sfgs_jax.slam.keyframes._edges import relative_poses as relative_poses
 from sfgs_jax.slam.keyframes._graph_step import advance_graph as advance_graph
 from sfgs_jax.slam.keyframes._graph_step import register_pair as register_pair
 from sfgs_jax.slam.keyframes._graph_step import settled as settled
+from sfgs_jax.slam.keyframes._insertion import Reference as Reference
 from sfgs_jax.slam.keyframes._insertion import first_keyframe as first_keyframe
 from sfgs_jax.slam.keyframes._insertion import insert_keyframe as insert_keyframe
 from sfgs_jax.slam.keyframes._insertion import neighbours as neighbours
@@ -31,3 +32,5 @@ from sfgs_jax.slam.keyframes._loops import travelled as travelled
 from sfgs_jax.slam.keyframes._loops import with_candidate as with_candidate
 from sfgs_jax.slam.keyframes._pose_graph import bend as bend
 from sfgs_jax.slam.keyframes._pose_graph import optimise_poses as optimise_poses
+from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew as rectified_anew
+from sfgs_jax.slam.keyframes._rectification_anew import with_first_motion as with_first_motion

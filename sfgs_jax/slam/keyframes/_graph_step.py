@@ -116,13 +116,23 @@ def _register_next(
     with_keypoints = params.config.features.kind != "none"
     if supports_edge(found, correction, config, with_keypoints=with_keypoints):
         graph = share_landmarks(graph, target, source, found)
-        graph, edge = with_registration(params, graph, target, source, (a, b), found, config)
+        first, graph = _without_edge(graph, target, source)
+        graph, edge = with_registration(params, graph, target, source, (a, b), found, config, told=first)
         return replace(graph, edges=(*graph.edges, edge)), False
     may_be_loop = config.loops and source - target > config.loop_gap
     if may_be_loop and supports_loop(found, off, travelled(graph, target, source), config):
         graph, candidate = with_registration(params, graph, target, source, (a, b), found, config, told=False)
         return accept_consistent_loops(with_candidate(graph, candidate, config), config)
     return graph, False
+
+
+def _without_edge(graph: KeyframeGraph, target: int, source: int) -> tuple[bool, KeyframeGraph]:
+    """Whether a pair is registered for the first time, and the graph without its edge from before."""
+    kept = [(edge.target, edge.source) != (target, source) for edge in graph.edges]
+    if all(kept):
+        return True, graph
+    edges = tuple(edge for edge, keep in zip(graph.edges, kept, strict=True) if keep)
+    return False, replace(graph, edges=edges, num_absorbed=sum(kept[: graph.num_absorbed]))
 
 
 def register_pair(

@@ -1,16 +1,20 @@
 """Insertion of keyframes: their place in the graph, and the registrations they wait for."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from sfgs_jax.geometry import se3
+from sfgs_jax.gicp import RowMotion
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import TrackInfo, features_in_use, offsets_in_use
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
+from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew, with_first_motion
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
@@ -37,44 +41,64 @@ def with_new_keyframes(
         frames: numbers of the newest tracked frame before it, and of the frame itself.
         config: settings.
     """
-    taken = bool(found.new_keyframe)
+    taken, bridged = bool(found.new_keyframe), bool(found.bridged)
     if not graph.keyframes:
-        return first_keyframe(params, graph, reference_at(after, after.current), frames[1])
-    if bool(found.bridged):
+        return first_keyframe(params, graph, _reference(after, 0, frames[1]))
+    if graph.keyframes[-1].frame == frames[0]:
+        graph = with_first_motion(graph, after.last_motion)
+    if bridged:
         reference = int(before.reference_keyframes[before.current])
         # The frame's own keyframe came after it.
-        features = reference_at(after, after.current - np.int32(taken))
-        graph = insert_keyframe(
-            params, graph, features, before.last_registration, reference, frames[0], config
-        )
+        new = _reference(after, int(taken), frames[0])
+        graph = insert_keyframe(params, graph, new, before.last_registration, reference, config)
     if taken:
-        features, reference = reference_at(after, after.current), int(found.reference)
-        graph = insert_keyframe(params, graph, features, found.registration, reference, frames[1], config)
+        new, reference = _reference(after, 0, frames[1]), int(found.reference)
+        graph = insert_keyframe(params, graph, new, found.registration, reference, config)
+    if (taken or bridged) and bool(after.last_motion.known):
+        graph = rectified_anew(params, graph, after.last_motion.timing)
     return graph
 
 
-def first_keyframe(
-    params: TrackerParams, graph: KeyframeGraph, features: FrameFeatures, frame: int
-) -> KeyframeGraph:
+class Reference(NamedTuple):
+    """A frame that others are tracked in.
+
+    Attributes:
+        features: of the frame, rectified.
+        motion: of its rows, by which they were rectified.
+        frame: its number in its source.
+    """
+
+    features: FrameFeatures
+    motion: RowMotion
+    frame: int
+
+
+def _reference(tracker: Tracker, back: int, frame: int) -> Reference:
+    """The tracker's current reference, or one that it had before."""
+    slot = tracker.current - np.int32(back)
+    number = int(slot) % len(tracker.reference_keyframes)
+    motion = jax.tree.map(lambda ring: np.asarray(ring)[number], tracker.reference_motions)
+    return Reference(reference_at(tracker, slot), motion, frame)
+
+
+def first_keyframe(params: TrackerParams, graph: KeyframeGraph, new: Reference) -> KeyframeGraph:
     """The graph with its first keyframe, whose camera is the world frame.
 
     Args:
         params: parameters of tracking.
         graph: without keyframes.
-        features: of the keyframe.
-        frame: its number in its source.
+        new: the frame.
     """
     identity = np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32)
-    return _with_keyframe(params, graph, features, identity, identity, reference=0, frame=frame)
+    return _with_keyframe(params, graph, new, identity, identity, reference=0)
 
 
 def insert_keyframe(
     params: TrackerParams,
     graph: KeyframeGraph,
-    features: FrameFeatures,
+    new: Reference,
     found: Registration,
     reference: int,
-    frame: int,
     config: GraphConfig,
 ) -> KeyframeGraph:
     """The graph with a frame as a keyframe, tied to its reference and waiting to be tied to others.
@@ -82,10 +106,9 @@ def insert_keyframe(
     Args:
         params: parameters of tracking.
         graph: before.
-        features: of the frame.
+        new: the frame.
         found: its registration to the reference.
         reference: number of the keyframe that it was tracked in.
-        frame: its number in its source.
         config: settings.
     """
     motion = np.asarray(found.T_target_source.wxyz_xyz)
@@ -95,12 +118,12 @@ def insert_keyframe(
         graph.covariances[reference][None], se3.matrices_of(motion[None]), own[None]
     )
     source = len(graph.keyframes)
-    graph = _with_keyframe(params, graph, features, pose, motion, reference=reference, frame=frame)
+    graph = _with_keyframe(params, graph, new, pose, motion, reference=reference)
     graph = replace(graph, covariances=np.concatenate([graph.covariances[:-1], covariance]))
     if not config.enabled:
         return graph
     graph = share_landmarks(graph, reference, source, found)
-    both = features_in_use(params, graph.keyframes[reference]), features
+    both = features_in_use(params, graph.keyframes[reference]), new.features
     graph, edge = with_registration(params, graph, reference, source, both, found, config)
     graph = replace(graph, edges=(*graph.edges, edge))
     near = neighbours(graph, config)
@@ -111,21 +134,22 @@ def insert_keyframe(
 def _with_keyframe(
     params: TrackerParams,
     graph: KeyframeGraph,
-    features: FrameFeatures,
+    new: Reference,
     pose: np.ndarray,
     tracked: np.ndarray,
     *,
     reference: int,
-    frame: int,
 ) -> KeyframeGraph:
-    slots = features.keypoints.depth.shape[0]
+    slots = new.features.keypoints.depth.shape[0]
     keyframe = Keyframe(
-        features=features,
+        features=new.features,
         landmarks=np.full(slots, -1),
-        frame=frame,
+        frame=new.frame,
         reference=reference,
         T_reference_keyframe=tracked,
         offsets=offsets_in_use(params),
+        motion=new.motion,
+        edition=0,
     )
     return replace(
         graph,

@@ -1,7 +1,8 @@
 """A state on disk: to save, to go on from, and to keep old images out of memory.
 
-The images of keyframes and views never change. Each is written once, to a file of its own, and read back by
-mapping that file into memory. The rest is one file, written anew each time, which names every array.
+The images of views never change, and those of keyframes hardly ever. Each is written once, to a file of its
+own, and read back by mapping that file into memory. The rest is one file, written anew each time, which names
+every array.
 """
 
 import dataclasses
@@ -45,7 +46,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for i, keyframe in enumerate(state.graph.keyframes):
-        _write_once(_image_file(folder, "keyframe", i), keyframe.features)
+        _write_once(_keyframe_file(folder, i, keyframe), keyframe.features)
     for i, view in enumerate(state.mapping.views):
         _write_once(_image_file(folder, "view", i), (view.rgb, view.depth))
     counts = {
@@ -97,7 +98,7 @@ def load(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -
         raise InputError(f"{folder} holds a state that was saved with another camera.")
     shapes = feature_shapes(rest.params)
     keyframes = tuple(
-        replace(keyframe, features=_read_images(_image_file(folder, "keyframe", i), shapes))
+        replace(keyframe, features=_read_images(_keyframe_file(folder, i, keyframe), shapes))
         for i, keyframe in enumerate(rest.graph.keyframes)
     )
     views = []
@@ -121,7 +122,7 @@ def spill(state: SlamState, folder: Path) -> SlamState:
     keyframes = list(state.graph.keyframes)
     kept = state.config.mapping.views_in_memory
     for i in _in_memory(keyframes, kept, lambda k: k.features.keypoints.depth):
-        path = _image_file(folder, "keyframe", i)
+        path = _keyframe_file(folder, i, keyframes[i])
         _write_once(path, keyframes[i].features)
         keyframes[i] = replace(keyframes[i], features=_read_images(path, keyframes[i].features))
     return replace(state, graph=replace(state.graph, keyframes=tuple(keyframes)))
@@ -147,6 +148,10 @@ def spill_views(mapping: MapState, folder: Path, kept: int) -> MapState:
 def _in_memory(items: list[Any], kept: int, leaf: Any) -> list[int]:
     """Indices of the older items that are still in memory."""
     return [i for i in range(len(items) - kept) if not isinstance(leaf(items[i]), np.memmap)]
+
+
+def _keyframe_file(folder: Path, number: int, keyframe: Keyframe) -> Path:
+    return _image_file(folder, "keyframe" if not keyframe.edition else f"keyframe-{keyframe.edition}", number)
 
 
 def _image_file(folder: Path, kind: str, number: int) -> Path:
@@ -219,7 +224,8 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     sensitivity = np.zeros((6, len(offsets)))
     edge = Edge(0, 0, motion, matrix, motion, matrix, False, False, offsets, sensitivity)
     shapes = feature_shapes(state.params)
-    keyframe = _bare_keyframe(Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets))
+    still = jax.tree.map(np.asarray, state.tracker.last_motion)
+    keyframe = _bare_keyframe(Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, still, 0))
     view = _bare_view(View(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32), 0, se3.identity(), 0))
     graph = replace(
         state.graph,

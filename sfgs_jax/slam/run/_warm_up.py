@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from sfgs_jax.geometry import Camera, Frame, se3
+from sfgs_jax.gicp import RowMotion
+from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import (
@@ -18,7 +20,15 @@ from sfgs_jax.slam.frontend import (
     search_by_surface,
     with_depth_offsets,
 )
-from sfgs_jax.slam.keyframes import accept_consistent_loops, advance_graph, bend, insert_keyframe
+from sfgs_jax.slam.keyframes import (
+    Reference,
+    accept_consistent_loops,
+    advance_graph,
+    bend,
+    insert_keyframe,
+    rectified_anew,
+    with_first_motion,
+)
 from sfgs_jax.slam.mapping import prune
 from sfgs_jax.slam.state import SlamState, move, with_graph_poses
 from sfgs_jax.slam.step import step
@@ -53,9 +63,9 @@ def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
 def _compile_graph(state: SlamState) -> None:
     """Insertion of a keyframe, its registration, adjustment, loop closure, another correction of depth."""
     config = state.config.graph
-    features = state.graph.keyframes[0].features
+    features, motion = state.graph.keyframes[0].features, state.graph.keyframes[0].motion
     found = register(state.params, features, features, se3.identity())
-    graph = insert_keyframe(state.params, state.graph, features, found, 0, 1, config)
+    graph = insert_keyframe(state.params, state.graph, Reference(features, motion, 1), found, 0, config)
     graph, _ = advance_graph(state.params, replace(graph, pending=((0, 1),)), config, grown=True)
     if graph.edges:
         bend(graph, config)
@@ -65,6 +75,10 @@ def _compile_graph(state: SlamState) -> None:
     if state.config.tracking.estimate_depth:
         params, _ = with_depth_offsets(state.params, tracker, graph.offsets + _ANOTHER_OFFSET)
         features_in_use(params, graph.keyframes[0])
+    if state.config.tracking.estimate_timing:
+        moving = RowMotion(jnp.ones(6), motion.timing, jnp.asarray(True))
+        graph = with_first_motion(replace(graph, keyframes=graph.keyframes[:1]), moving)
+        rectified_anew(state.params, graph, SensorTiming(*np.ones(3, np.float32)))
 
 
 def _compile_lost(state: SlamState) -> None:
