@@ -9,7 +9,7 @@ from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.datasets._selection import select
 from sfgs_jax.datasets.files import FileRecording
-from sfgs_jax.datasets.layouts import folder, icl_nuim, replica, scannet, seven_scenes, tum
+from sfgs_jax.datasets.layouts import folder, icl_nuim, replica, scannet, seven_scenes, stray, tum
 from sfgs_jax.datasets.synthetic import SyntheticRecording
 
 
@@ -35,6 +35,7 @@ _FILE_LAYOUTS = {
     "replica": _Layout(replica.matches, replica.read, "results/frame000000.jpg"),
     "icl_nuim": _Layout(icl_nuim.matches, icl_nuim.read, "rgb/ and a *.gt.freiburg file"),
     "scannet": _Layout(scannet.matches, scannet.read, "color/ and depth/"),
+    "stray": _Layout(stray.matches, stray.read, "odometry.csv and depth/"),
     "folder": _Layout(folder.matches, folder.read, "rgb/, depth/ and camera.json"),
 }
 

@@ -15,6 +15,7 @@ PRESETS: dict[str, SlamConfig] = {
     "scannet": _KINECT,
     "replica": SlamConfig(),
     "icl_nuim": SlamConfig(),
+    "stray": SlamConfig(),
     "folder": SlamConfig(),
     "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),
 }

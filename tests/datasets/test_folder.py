@@ -136,12 +136,9 @@ def test_camera_file_that_is_no_json(record):
 
 
 def test_entries_that_are_not_used_are_noted(record):
-    recording = open_recording(record(["0.png"], ["0.png"], {**CAMERA, "k1": 0.1}))
-    assert recording.notes == (f"{recording_path(recording)} has entries that are not used: k1.",)
-
-
-def recording_path(recording):
-    return recording.recording.pairs[0].colour.parents[1] / "camera.json"
+    folder = record(["0.png"], ["0.png"], {**CAMERA, "k1": 0.1})
+    expected = f"{folder / 'camera.json'} has entries that are not used: k1."
+    assert open_recording(folder).notes == (expected,)
 
 
 def test_implausible_scale_is_noted(record):

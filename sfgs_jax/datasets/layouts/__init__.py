@@ -1,6 +1,6 @@
 """Readers of recordings on disk, one module a layout.
 
-Each module has two functions. The first, `matches(source)`, tells whether a folder has the layout. The
+Each module has two functions. The first, `matches(source)`, tells whether a path has the layout. The
 second, `read(source, options)`, opens it as a `FileRecording`, with the errors of `open_recording`.
 """
 
@@ -9,4 +9,5 @@ from sfgs_jax.datasets.layouts import icl_nuim as icl_nuim
 from sfgs_jax.datasets.layouts import replica as replica
 from sfgs_jax.datasets.layouts import scannet as scannet
 from sfgs_jax.datasets.layouts import seven_scenes as seven_scenes
+from sfgs_jax.datasets.layouts import stray as stray
 from sfgs_jax.datasets.layouts import tum as tum

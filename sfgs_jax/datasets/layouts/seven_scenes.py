@@ -73,7 +73,8 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     intrinsics = read_camera_json(options.camera).pinhole(source) if options.camera else _COLOUR
     camera = intrinsics.camera(width, height, source)
     timestamps = np.asarray([pair.timestamp for pair in pairs])
-    ground_truth, truth_notes = ground_truth_by_frame([_pose(pair) for pair in pairs], timestamps)
+    poses = [_pose(source / f"frame-{digits}.pose.txt") for digits in sorted(colour, key=int)]
+    ground_truth, truth_notes = ground_truth_by_frame(poses, timestamps)
     return FileRecording(
         name=source.resolve().name,
         dataset="7scenes",
@@ -116,7 +117,6 @@ def _colour_images(source: Path) -> dict[str, Path]:
     return {match[1]: path for match, path in found if match}
 
 
-def _pose(pair: FilePair) -> Float[np.ndarray, "4 4"] | None:
-    """`T_world_colour` of a frame; None without a pose file."""
-    path = pair.depth.with_name(pair.depth.name.replace(".depth.png", ".pose.txt"))
+def _pose(path: Path) -> Float[np.ndarray, "4 4"] | None:
+    """`T_world_colour` from a frame's pose file; None without one."""
     return read_matrix_file(path) @ np.linalg.inv(T_COLOUR_DEPTH) if path.is_file() else None
