@@ -9,7 +9,16 @@ from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.datasets._selection import select
 from sfgs_jax.datasets.files import FileRecording
-from sfgs_jax.datasets.layouts import folder, icl_nuim, replica, scannet, seven_scenes, stray, tum
+from sfgs_jax.datasets.layouts import (
+    folder,
+    icl_nuim,
+    record3d,
+    replica,
+    scannet,
+    seven_scenes,
+    stray,
+    tum,
+)
 from sfgs_jax.datasets.synthetic import SyntheticRecording
 
 
@@ -18,7 +27,7 @@ class _Layout:
     """One arrangement of a recording on disk.
 
     Attributes:
-        matches: tells whether a folder has this layout.
+        matches: tells whether a folder, or a file, has this layout.
         read: opens it.
         marks: the files it is recognised by, for messages.
     """
@@ -36,6 +45,7 @@ _FILE_LAYOUTS = {
     "icl_nuim": _Layout(icl_nuim.matches, icl_nuim.read, "rgb/ and a *.gt.freiburg file"),
     "scannet": _Layout(scannet.matches, scannet.read, "color/ and depth/"),
     "stray": _Layout(stray.matches, stray.read, "odometry.csv and depth/"),
+    "record3d": _Layout(record3d.matches, record3d.read, "an .r3d archive's metadata and rgbd/"),
     "folder": _Layout(folder.matches, folder.read, "rgb/, depth/ and camera.json"),
 }
 
@@ -51,9 +61,9 @@ def open_recording(
     """Open a recording, recognising its layout; docs/datasets.md describes the layouts.
 
     Args:
-        source: a folder; or "synthetic" or "synthetic:frames=60,width=160,height=120,seed=1,noise=1" for the
-            built-in synthetic room; or "synthetic:place=ring,frames=1000" for another place, and with
-            "kinect=1" a Kinect's faults.
+        source: a folder, or an .r3d file; or "synthetic" or
+            "synthetic:frames=60,width=160,height=120,seed=1,noise=1" for the built-in synthetic room; or
+            "synthetic:place=ring,frames=1000" for another place, and with "kinect=1" a Kinect's faults.
         dataset: one of `LAYOUTS`; None recognises the layout.
         options: units, intrinsics and choice of frames; None means the defaults.
 
@@ -72,7 +82,7 @@ def open_recording(
     path = Path(source).expanduser()
     if not path.exists():
         raise InputError(f"There is no {path}.")
-    if not path.is_dir():
+    if path.is_file() and not any(layout.matches(path) for layout in _FILE_LAYOUTS.values()):
         raise InputError(f"{path} is a file; give the folder of a recording (its images unpacked).")
     layout = _FILE_LAYOUTS[dataset or _recognise(path)]
     if not layout.matches(path):
@@ -89,11 +99,10 @@ def _recognise(path: Path) -> str:
 
 
 def _hint(path: Path) -> str:
-    """Folders inside `path` that are recordings, since giving the folder above is the usual mistake."""
+    """Recordings inside `path`, since giving the folder above is the usual mistake."""
+    children = sorted(path.iterdir()) if path.is_dir() else []
     inside = [
-        child.name
-        for child in sorted(path.iterdir())
-        if child.is_dir() and any(layout.matches(child) for layout in _FILE_LAYOUTS.values())
+        child.name for child in children if any(layout.matches(child) for layout in _FILE_LAYOUTS.values())
     ]
     if not inside:
         return ""

@@ -16,6 +16,7 @@ PRESETS: dict[str, SlamConfig] = {
     "replica": SlamConfig(),
     "icl_nuim": SlamConfig(),
     "stray": SlamConfig(),
+    "record3d": SlamConfig(),
     "folder": SlamConfig(),
     "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),
 }

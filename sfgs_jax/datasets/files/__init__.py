@@ -36,6 +36,8 @@ from sfgs_jax.datasets.files._images import decode_depth as decode_depth
 from sfgs_jax.datasets.files._images import depth_of_array as depth_of_array
 from sfgs_jax.datasets.files._images import depth_of_bytes as depth_of_bytes
 from sfgs_jax.datasets.files._images import depth_units as depth_units
+from sfgs_jax.datasets.files._lzfse import decompress_lzfse as decompress_lzfse
+from sfgs_jax.datasets.files._lzfse import require_lzfse as require_lzfse
 from sfgs_jax.datasets.files._pose_files import opencv_poses as opencv_poses
 from sfgs_jax.datasets.files._pose_files import quaternion_poses as quaternion_poses
 from sfgs_jax.datasets.files._pose_files import read_matrix_file as read_matrix_file
