@@ -12,6 +12,7 @@ from sfgs_jax.datasets.files import FileRecording
 from sfgs_jax.datasets.layouts import (
     folder,
     icl_nuim,
+    nerfstudio,
     record3d,
     replica,
     scannet,
@@ -46,6 +47,7 @@ _FILE_LAYOUTS = {
     "scannet": _Layout(scannet.matches, scannet.read, "color/ and depth/"),
     "stray": _Layout(stray.matches, stray.read, "odometry.csv and depth/"),
     "record3d": _Layout(record3d.matches, record3d.read, "an .r3d archive's metadata and rgbd/"),
+    "nerfstudio": _Layout(nerfstudio.matches, nerfstudio.read, "transforms.json"),
     "folder": _Layout(folder.matches, folder.read, "rgb/, depth/ and camera.json"),
 }
 

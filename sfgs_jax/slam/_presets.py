@@ -17,6 +17,7 @@ PRESETS: dict[str, SlamConfig] = {
     "icl_nuim": SlamConfig(),
     "stray": SlamConfig(),
     "record3d": SlamConfig(),
+    "nerfstudio": SlamConfig(),
     "folder": SlamConfig(),
     "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),
 }

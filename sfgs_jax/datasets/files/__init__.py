@@ -5,6 +5,7 @@ The readers in `sfgs_jax.datasets.layouts` are built from these functions. So is
 
 from sfgs_jax.datasets.files._camera_files import CAMERA_EXAMPLE as CAMERA_EXAMPLE
 from sfgs_jax.datasets.files._camera_files import Intrinsics as Intrinsics
+from sfgs_jax.datasets.files._camera_files import one_camera as one_camera
 from sfgs_jax.datasets.files._camera_files import read_camera_json as read_camera_json
 from sfgs_jax.datasets.files._common_size import CommonView as CommonView
 from sfgs_jax.datasets.files._common_size import common_view as common_view
@@ -36,6 +37,10 @@ from sfgs_jax.datasets.files._images import decode_depth as decode_depth
 from sfgs_jax.datasets.files._images import depth_of_array as depth_of_array
 from sfgs_jax.datasets.files._images import depth_of_bytes as depth_of_bytes
 from sfgs_jax.datasets.files._images import depth_units as depth_units
+from sfgs_jax.datasets.files._listed_files import is_time as is_time
+from sfgs_jax.datasets.files._listed_files import listed_file as listed_file
+from sfgs_jax.datasets.files._listed_files import read_json as read_json
+from sfgs_jax.datasets.files._listed_files import times_of_names as times_of_names
 from sfgs_jax.datasets.files._lzfse import decompress_lzfse as decompress_lzfse
 from sfgs_jax.datasets.files._lzfse import require_lzfse as require_lzfse
 from sfgs_jax.datasets.files._pose_files import opencv_poses as opencv_poses

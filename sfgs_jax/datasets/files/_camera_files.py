@@ -2,8 +2,11 @@
 
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets.files._pose_files import read_text
@@ -14,6 +17,9 @@ CAMERA_EXAMPLE = '{"fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "depth_sc
 """A camera.json, for error messages."""
 
 _DISTORTION_COUNTS = (4, 5, 8)
+# Of a focal length. Autofocus stays within the first, and the second moves a pixel of a small image.
+_LARGEST_SPREAD = 0.02
+_NOTED_SPREAD = 0.002
 _NUMBERS = ("fx", "fy", "cx", "cy", "depth_scale", "width", "height", "fps")
 
 
@@ -54,8 +60,13 @@ class Intrinsics:
             source: the recording, for messages.
 
         Raises:
-            InputError: the intrinsics belong to images of another size, or the principal point is outside.
+            InputError: a focal length is no positive number, the intrinsics belong to images of another size,
+                or the principal point is outside.
         """
+        if not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
+            raise InputError(
+                f"The focal lengths ({self.fx:g}, {self.fy:g}) of {source} should be positive, in pixels."
+            )
         if (self.width or width, self.height or height) != (width, height):
             raise InputError(
                 f"The intrinsics of {source} are for {self.width or '?'}x{self.height or '?'} images, "
@@ -84,6 +95,33 @@ class Intrinsics:
     def undistortion(self, camera: Camera) -> Undistortion | None:
         """Undistortion of images of this camera; None without lens coefficients."""
         return Undistortion(camera, self.distortion) if any(self.distortion) else None
+
+
+def one_camera(cameras: Sequence[Intrinsics], source: Path) -> Intrinsics:
+    """The camera of frames that have intrinsics each: their median, since autofocus changes them a little.
+
+    Args:
+        cameras: of the frames, at least one.
+        source: the recording, for messages.
+
+    Raises:
+        InputError: sizes or lenses differ, or focal lengths or principal points by more than 2 %.
+    """
+    first = cameras[0]
+    numbers = np.asarray([(c.fx, c.fy, c.cx, c.cy) for c in cameras], np.float64)
+    median = np.median(numbers, axis=0)
+    focal, spread = float(median[0]), float(np.max(np.abs(numbers - median)))
+    same = all(
+        (c.width, c.height, c.distortion) == (first.width, first.height, first.distortion) for c in cameras
+    )
+    if not same or spread > _LARGEST_SPREAD * focal:
+        raise InputError(f"The frames of {source} have several cameras; give the frames of one camera.")
+    if spread > _NOTED_SPREAD * focal:
+        percent = 100 * spread / focal
+        note = f"Intrinsics of {source} differ by up to {percent:.1f} % between frames; the median is used."
+        first = replace(first, notes=(*first.notes, note))
+    fx, fy, cx, cy = median.tolist()
+    return replace(first, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def read_camera_json(path: Path) -> Intrinsics:

@@ -6,6 +6,7 @@ second, `read(source, options)`, opens it as a `FileRecording`, with the errors 
 
 from sfgs_jax.datasets.layouts import folder as folder
 from sfgs_jax.datasets.layouts import icl_nuim as icl_nuim
+from sfgs_jax.datasets.layouts import nerfstudio as nerfstudio
 from sfgs_jax.datasets.layouts import record3d as record3d
 from sfgs_jax.datasets.layouts import replica as replica
 from sfgs_jax.datasets.layouts import scannet as scannet

@@ -1,6 +1,5 @@
 """A plain folder: rgb/, depth/, camera.json, and optionally poses.txt."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +17,12 @@ from sfgs_jax.datasets.files import (
     ground_truth_by_frame,
     ground_truth_by_time,
     images_in,
+    is_time,
     read_camera_json,
     read_matrix_rows,
     read_numbers,
     registered_size,
+    times_of_names,
 )
 from sfgs_jax.geometry import Trajectory
 
@@ -43,7 +44,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     intrinsics = _intrinsics(source, options)
     scale = options.depth_scale or intrinsics.depth_scale
     matched, match_notes = _match(source, colour, depth)
-    timestamps = _timestamps([pair[0] for pair in matched], intrinsics.fps or _FRAMES_PER_SECOND)
+    timestamps = times_of_names([pair[0] for pair in matched], intrinsics.fps or _FRAMES_PER_SECOND)
     depth_times = _depth_timestamps(matched)
     pairs = [
         FilePair(colour_path, depth_path, time, depth_time)
@@ -96,23 +97,12 @@ def _match(source: Path, colour: list[Path], depth: list[Path]) -> tuple[list[tu
     return [(path, by_stem[path.stem]) for path in common], notes
 
 
-def _timestamps(colour: list[Path], frames_per_second: float) -> Float[np.ndarray, " n"]:
-    """Time stamps from the files' names if all are decimal numbers, else from the frame rate; seconds."""
-    if all(_is_time(path) for path in colour):
-        return np.asarray([float(path.stem) for path in colour], np.float64)
-    return np.arange(len(colour), dtype=np.float64) / frames_per_second
-
-
 def _depth_timestamps(matched: list[tuple[Path, Path]]) -> list[float] | list[None]:
     """Seconds, if all names are decimal numbers. A depth image named after its colour image tells nothing."""
-    timed = all(_is_time(path) for pair in matched for path in pair)
+    timed = all(is_time(path) for pair in matched for path in pair)
     if not timed or all(colour.stem == depth.stem for colour, depth in matched):
         return [None] * len(matched)
     return [float(depth.stem) for _, depth in matched]
-
-
-def _is_time(path: Path) -> bool:
-    return re.fullmatch(r"\d+\.\d+", path.stem) is not None
 
 
 def _ground_truth(
