@@ -10,6 +10,7 @@ from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.datasets._selection import select
 from sfgs_jax.datasets.files import FileRecording
 from sfgs_jax.datasets.layouts import (
+    colmap,
     folder,
     icl_nuim,
     nerfstudio,
@@ -48,6 +49,7 @@ _FILE_LAYOUTS = {
     "stray": _Layout(stray.matches, stray.read, "odometry.csv and depth/"),
     "record3d": _Layout(record3d.matches, record3d.read, "an .r3d archive's metadata and rgbd/"),
     "nerfstudio": _Layout(nerfstudio.matches, nerfstudio.read, "transforms.json"),
+    "colmap": _Layout(colmap.matches, colmap.read, "images/ and sparse/0/"),
     "folder": _Layout(folder.matches, folder.read, "rgb/, depth/ and camera.json"),
 }
 

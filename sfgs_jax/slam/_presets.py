@@ -18,6 +18,7 @@ PRESETS: dict[str, SlamConfig] = {
     "stray": SlamConfig(),
     "record3d": SlamConfig(),
     "nerfstudio": SlamConfig(),
+    "colmap": SlamConfig(),
     "folder": SlamConfig(),
     "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),
 }

@@ -7,6 +7,9 @@ from sfgs_jax.datasets.files._camera_files import CAMERA_EXAMPLE as CAMERA_EXAMP
 from sfgs_jax.datasets.files._camera_files import Intrinsics as Intrinsics
 from sfgs_jax.datasets.files._camera_files import one_camera as one_camera
 from sfgs_jax.datasets.files._camera_files import read_camera_json as read_camera_json
+from sfgs_jax.datasets.files._colmap_model import ColmapModel as ColmapModel
+from sfgs_jax.datasets.files._colmap_model import has_colmap_model as has_colmap_model
+from sfgs_jax.datasets.files._colmap_model import read_colmap_model as read_colmap_model
 from sfgs_jax.datasets.files._common_size import CommonView as CommonView
 from sfgs_jax.datasets.files._common_size import common_view as common_view
 from sfgs_jax.datasets.files._common_size import resized_depth as resized_depth
@@ -43,6 +46,7 @@ from sfgs_jax.datasets.files._listed_files import read_json as read_json
 from sfgs_jax.datasets.files._listed_files import times_of_names as times_of_names
 from sfgs_jax.datasets.files._lzfse import decompress_lzfse as decompress_lzfse
 from sfgs_jax.datasets.files._lzfse import require_lzfse as require_lzfse
+from sfgs_jax.datasets.files._pose_files import inverse_poses as inverse_poses
 from sfgs_jax.datasets.files._pose_files import opencv_poses as opencv_poses
 from sfgs_jax.datasets.files._pose_files import quaternion_poses as quaternion_poses
 from sfgs_jax.datasets.files._pose_files import read_matrix_file as read_matrix_file

@@ -142,6 +142,14 @@ def quaternion_poses(
     return poses
 
 
+def inverse_poses(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
+    """World-to-camera poses from camera-to-world, or the other way; NaN stays NaN."""
+    inverse = poses.copy()
+    inverse[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
+    inverse[:, :3, 3:] = -inverse[:, :3, :3] @ poses[:, :3, 3:]
+    return inverse
+
+
 def opencv_poses(opengl: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
     """Camera-to-world poses of OpenCV's camera axes from those of OpenGL's (x right, y up, z backward)."""
     return opengl @ np.diag([1.0, -1.0, -1.0, 1.0])

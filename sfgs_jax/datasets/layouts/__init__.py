@@ -4,6 +4,7 @@ Each module has two functions. The first, `matches(source)`, tells whether a pat
 second, `read(source, options)`, opens it as a `FileRecording`, with the errors of `open_recording`.
 """
 
+from sfgs_jax.datasets.layouts import colmap as colmap
 from sfgs_jax.datasets.layouts import folder as folder
 from sfgs_jax.datasets.layouts import icl_nuim as icl_nuim
 from sfgs_jax.datasets.layouts import nerfstudio as nerfstudio
