@@ -14,6 +14,7 @@ from sfgs_jax.datasets.layouts import (
     folder,
     icl_nuim,
     nerfstudio,
+    open3d,
     record3d,
     replica,
     scannet,
@@ -39,12 +40,14 @@ class _Layout:
     marks: str
 
 
-# In the order in which they are tried: the plain folder last, since others have rgb/ and depth/ as well.
+# In the order in which they are tried. ScanNet comes after Open3D, which has color/ and depth/ as well. The plain
+# folder comes last, since others have rgb/ and depth/.
 _FILE_LAYOUTS = {
     "tum": _Layout(tum.matches, tum.read, "rgb.txt and depth.txt"),
     "7scenes": _Layout(seven_scenes.matches, seven_scenes.read, "frame-000000.color.png"),
     "replica": _Layout(replica.matches, replica.read, "results/frame000000.jpg"),
     "icl_nuim": _Layout(icl_nuim.matches, icl_nuim.read, "rgb/ and a *.gt.freiburg file"),
+    "open3d": _Layout(open3d.matches, open3d.read, "color/, depth/ and intrinsic.json"),
     "scannet": _Layout(scannet.matches, scannet.read, "color/ and depth/"),
     "stray": _Layout(stray.matches, stray.read, "odometry.csv and depth/"),
     "record3d": _Layout(record3d.matches, record3d.read, "an .r3d archive's metadata and rgbd/"),

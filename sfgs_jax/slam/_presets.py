@@ -19,6 +19,7 @@ PRESETS: dict[str, SlamConfig] = {
     "record3d": SlamConfig(),
     "nerfstudio": SlamConfig(),
     "colmap": SlamConfig(),
+    "open3d": SlamConfig(),
     "folder": SlamConfig(),
     "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),
 }

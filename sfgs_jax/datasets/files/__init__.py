@@ -25,6 +25,7 @@ from sfgs_jax.datasets.files._file_recording import registered_size as registere
 from sfgs_jax.datasets.files._file_recording import size_text as size_text
 from sfgs_jax.datasets.files._folders import images_by_number as images_by_number
 from sfgs_jax.datasets.files._folders import images_in as images_in
+from sfgs_jax.datasets.files._folders import matched_images as matched_images
 from sfgs_jax.datasets.files._folders import natural_key as natural_key
 from sfgs_jax.datasets.files._ground_truth import ground_truth_by_frame as ground_truth_by_frame
 from sfgs_jax.datasets.files._ground_truth import ground_truth_by_time as ground_truth_by_time

@@ -8,6 +8,7 @@ from sfgs_jax.datasets.layouts import colmap as colmap
 from sfgs_jax.datasets.layouts import folder as folder
 from sfgs_jax.datasets.layouts import icl_nuim as icl_nuim
 from sfgs_jax.datasets.layouts import nerfstudio as nerfstudio
+from sfgs_jax.datasets.layouts import open3d as open3d
 from sfgs_jax.datasets.layouts import record3d as record3d
 from sfgs_jax.datasets.layouts import replica as replica
 from sfgs_jax.datasets.layouts import scannet as scannet

@@ -18,6 +18,7 @@ from sfgs_jax.datasets.files import (
     ground_truth_by_time,
     images_in,
     is_time,
+    matched_images,
     read_camera_json,
     read_matrix_rows,
     read_numbers,
@@ -43,7 +44,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
             raise InputError(f"No images in {source / name}; put the {name} images there as PNG files.")
     intrinsics = _intrinsics(source, options)
     scale = options.depth_scale or intrinsics.depth_scale
-    matched, match_notes = _match(source, colour, depth)
+    matched, match_notes = matched_images(source, colour, depth)
     timestamps = times_of_names([pair[0] for pair in matched], intrinsics.fps or _FRAMES_PER_SECOND)
     depth_times = _depth_timestamps(matched)
     pairs = [
@@ -74,27 +75,6 @@ def _intrinsics(source: Path, options: ReaderOptions) -> Intrinsics:
     if not path.is_file():
         raise InputError(f"Intrinsics of {source} are missing: write {path}, for example {CAMERA_EXAMPLE}.")
     return read_camera_json(path)
-
-
-def _match(source: Path, colour: list[Path], depth: list[Path]) -> tuple[list[tuple[Path, Path]], list[str]]:
-    """Colour and depth images that belong together, and notes for the log.
-
-    They are matched by name, or in natural order if there are equally many but the names differ.
-    """
-    by_stem = {path.stem: path for path in depth}
-    common = [path for path in colour if path.stem in by_stem]
-    if len(colour) == len(depth) and len(common) < len(colour):
-        return list(zip(colour, depth, strict=True)), []
-    if not common:
-        raise InputError(
-            f"{source} has {len(colour)} colour and {len(depth)} depth images, and no two share a name; "
-            "give images that belong together the same name."
-        )
-    unmatched = len(colour) - len(common)
-    notes = (
-        [f"{unmatched} of {len(colour)} colour images have no depth image of that name."] if unmatched else []
-    )
-    return [(path, by_stem[path.stem]) for path in common], notes
 
 
 def _depth_timestamps(matched: list[tuple[Path, Path]]) -> list[float] | list[None]:
