@@ -21,6 +21,7 @@ from sfgs_jax.datasets.layouts import (
     seven_scenes,
     stray,
     tum,
+    video,
 )
 from sfgs_jax.datasets.synthetic import SyntheticRecording
 
@@ -40,8 +41,8 @@ class _Layout:
     marks: str
 
 
-# In the order in which they are tried. ScanNet comes after Open3D, which has color/ and depth/ as well. The plain
-# folder comes last, since others have rgb/ and depth/.
+# In the order in which they are tried. ScanNet comes after Open3D, which has color/ and depth/ as well. The
+# plain folder comes last, since others have rgb/ and depth/.
 _FILE_LAYOUTS = {
     "tum": _Layout(tum.matches, tum.read, "rgb.txt and depth.txt"),
     "7scenes": _Layout(seven_scenes.matches, seven_scenes.read, "frame-000000.color.png"),
@@ -53,6 +54,7 @@ _FILE_LAYOUTS = {
     "record3d": _Layout(record3d.matches, record3d.read, "an .r3d archive's metadata and rgbd/"),
     "nerfstudio": _Layout(nerfstudio.matches, nerfstudio.read, "transforms.json"),
     "colmap": _Layout(colmap.matches, colmap.read, "images/ and sparse/0/"),
+    "video": _Layout(video.matches, video.read, "a video, depth/ and camera.json"),
     "folder": _Layout(folder.matches, folder.read, "rgb/, depth/ and camera.json"),
 }
 

@@ -20,6 +20,7 @@ PRESETS: dict[str, SlamConfig] = {
     "nerfstudio": SlamConfig(),
     "colmap": SlamConfig(),
     "open3d": SlamConfig(),
+    "video": SlamConfig(),
     "folder": SlamConfig(),
     "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),
 }

@@ -6,6 +6,7 @@ The readers in `sfgs_jax.datasets.layouts` are built from these functions. So is
 from sfgs_jax.datasets.files._camera_files import CAMERA_EXAMPLE as CAMERA_EXAMPLE
 from sfgs_jax.datasets.files._camera_files import Intrinsics as Intrinsics
 from sfgs_jax.datasets.files._camera_files import one_camera as one_camera
+from sfgs_jax.datasets.files._camera_files import own_camera as own_camera
 from sfgs_jax.datasets.files._camera_files import read_camera_json as read_camera_json
 from sfgs_jax.datasets.files._colmap_model import ColmapModel as ColmapModel
 from sfgs_jax.datasets.files._colmap_model import has_colmap_model as has_colmap_model
@@ -29,6 +30,7 @@ from sfgs_jax.datasets.files._folders import matched_images as matched_images
 from sfgs_jax.datasets.files._folders import natural_key as natural_key
 from sfgs_jax.datasets.files._ground_truth import ground_truth_by_frame as ground_truth_by_frame
 from sfgs_jax.datasets.files._ground_truth import ground_truth_by_time as ground_truth_by_time
+from sfgs_jax.datasets.files._ground_truth import ground_truth_of_file as ground_truth_of_file
 from sfgs_jax.datasets.files._ground_truth import not_finite_notes as not_finite_notes
 from sfgs_jax.datasets.files._images import COLOUR_SUFFIXES as COLOUR_SUFFIXES
 from sfgs_jax.datasets.files._images import DEPTH_SUFFIXES as DEPTH_SUFFIXES

@@ -97,6 +97,22 @@ class Intrinsics:
         return Undistortion(camera, self.distortion) if any(self.distortion) else None
 
 
+def own_camera(source: Path, given: Path | None) -> Intrinsics:
+    """Intrinsics of a user's own recording: a given camera file, else the camera.json in its folder.
+
+    Args:
+        source: the folder.
+        given: a camera file, or None.
+
+    Raises:
+        InputError: there is neither, or the file can't be understood.
+    """
+    path = given or source / "camera.json"
+    if not path.is_file():
+        raise InputError(f"Intrinsics of {source} are missing: write {path}, for example {CAMERA_EXAMPLE}.")
+    return read_camera_json(path)
+
+
 def one_camera(cameras: Sequence[Intrinsics], source: Path) -> Intrinsics:
     """The camera of frames that have intrinsics each: their median, since autofocus changes them a little.
 

@@ -15,3 +15,4 @@ from sfgs_jax.datasets.layouts import scannet as scannet
 from sfgs_jax.datasets.layouts import seven_scenes as seven_scenes
 from sfgs_jax.datasets.layouts import stray as stray
 from sfgs_jax.datasets.layouts import tum as tum
+from sfgs_jax.datasets.layouts import video as video
