@@ -11,6 +11,7 @@ from sfgs_jax.datasets._selection import select
 from sfgs_jax.datasets.files import FileRecording
 from sfgs_jax.datasets.layouts import (
     colmap,
+    euroc,
     folder,
     icl_nuim,
     nerfstudio,
@@ -18,6 +19,7 @@ from sfgs_jax.datasets.layouts import (
     record3d,
     replica,
     scannet,
+    scannetpp,
     seven_scenes,
     stray,
     tum,
@@ -54,6 +56,8 @@ _FILE_LAYOUTS = {
     "record3d": _Layout(record3d.matches, record3d.read, "an .r3d archive's metadata and rgbd/"),
     "nerfstudio": _Layout(nerfstudio.matches, nerfstudio.read, "transforms.json"),
     "colmap": _Layout(colmap.matches, colmap.read, "images/ and sparse/0/"),
+    "euroc": _Layout(euroc.matches, euroc.read, "mav0/cam0/data.csv"),
+    "scannetpp": _Layout(scannetpp.matches, scannetpp.read, "pose_intrinsic_imu.json"),
     "video": _Layout(video.matches, video.read, "a video, depth/ and camera.json"),
     "folder": _Layout(folder.matches, folder.read, "rgb/, depth/ and camera.json"),
 }

@@ -20,6 +20,8 @@ PRESETS: dict[str, SlamConfig] = {
     "nerfstudio": SlamConfig(),
     "colmap": SlamConfig(),
     "open3d": SlamConfig(),
+    "euroc": SlamConfig(),
+    "scannetpp": SlamConfig(),
     "video": SlamConfig(),
     "folder": SlamConfig(),
     "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),

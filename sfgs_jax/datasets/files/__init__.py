@@ -31,6 +31,7 @@ from sfgs_jax.datasets.files._folders import natural_key as natural_key
 from sfgs_jax.datasets.files._ground_truth import ground_truth_by_frame as ground_truth_by_frame
 from sfgs_jax.datasets.files._ground_truth import ground_truth_by_time as ground_truth_by_time
 from sfgs_jax.datasets.files._ground_truth import ground_truth_of_file as ground_truth_of_file
+from sfgs_jax.datasets.files._ground_truth import ground_truth_of_trajectory as ground_truth_of_trajectory
 from sfgs_jax.datasets.files._ground_truth import not_finite_notes as not_finite_notes
 from sfgs_jax.datasets.files._images import COLOUR_SUFFIXES as COLOUR_SUFFIXES
 from sfgs_jax.datasets.files._images import DEPTH_SUFFIXES as DEPTH_SUFFIXES

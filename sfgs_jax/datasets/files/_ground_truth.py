@@ -57,6 +57,24 @@ def ground_truth_by_time(
     if not path.is_file():
         return None, []
     trajectory, broken = read_tum_poses(path)
+    return ground_truth_of_trajectory(trajectory, broken, path, timestamps, limit)
+
+
+def ground_truth_of_trajectory(
+    trajectory: Trajectory, broken: int, path: Path, timestamps: Float[np.ndarray, " n"], limit: float
+) -> tuple[Trajectory | None, list[str]]:
+    """Ground truth from a trajectory, interpolated at the frames' times.
+
+    Args:
+        trajectory: poses in order of time.
+        broken: number of poses of the file that could not be used.
+        path: the file, for messages.
+        timestamps: of the frames, seconds.
+        limit: as in `ground_truth_by_time`.
+
+    Returns:
+        As `ground_truth_by_time`.
+    """
     notes = not_finite_notes(broken)
     if not len(trajectory):
         return None, [*notes, f"{path} has no poses."]
