@@ -18,6 +18,7 @@ from sfgs_jax.datasets.layouts import (
     open3d,
     record3d,
     replica,
+    rosbag,
     scannet,
     scannetpp,
     seven_scenes,
@@ -58,6 +59,7 @@ _FILE_LAYOUTS = {
     "colmap": _Layout(colmap.matches, colmap.read, "images/ and sparse/0/"),
     "euroc": _Layout(euroc.matches, euroc.read, "mav0/cam0/data.csv"),
     "scannetpp": _Layout(scannetpp.matches, scannetpp.read, "pose_intrinsic_imu.json"),
+    "rosbag": _Layout(rosbag.matches, rosbag.read, "a bag's metadata.yaml"),
     "video": _Layout(video.matches, video.read, "a video, depth/ and camera.json"),
     "folder": _Layout(folder.matches, folder.read, "rgb/, depth/ and camera.json"),
 }
@@ -74,7 +76,7 @@ def open_recording(
     """Open a recording, recognising its layout; docs/datasets.md describes the layouts.
 
     Args:
-        source: a folder, or an .r3d file; or "synthetic" or
+        source: a folder, or an .r3d or bag file; or "synthetic" or
             "synthetic:frames=60,width=160,height=120,seed=1,noise=1" for the built-in synthetic room; or
             "synthetic:place=ring,frames=1000" for another place, and with "kinect=1" a Kinect's faults.
         dataset: one of `LAYOUTS`; None recognises the layout.

@@ -22,6 +22,7 @@ PRESETS: dict[str, SlamConfig] = {
     "open3d": SlamConfig(),
     "euroc": SlamConfig(),
     "scannetpp": SlamConfig(),
+    "rosbag": SlamConfig(),
     "video": SlamConfig(),
     "folder": SlamConfig(),
     "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),

@@ -3,6 +3,7 @@
 The readers in `sfgs_jax.datasets.layouts` are built from these functions. So is a reader of another layout.
 """
 
+from sfgs_jax.datasets.files._bag import Bag as Bag
 from sfgs_jax.datasets.files._camera_files import CAMERA_EXAMPLE as CAMERA_EXAMPLE
 from sfgs_jax.datasets.files._camera_files import Intrinsics as Intrinsics
 from sfgs_jax.datasets.files._camera_files import one_camera as one_camera
@@ -15,8 +16,10 @@ from sfgs_jax.datasets.files._common_size import CommonView as CommonView
 from sfgs_jax.datasets.files._common_size import common_view as common_view
 from sfgs_jax.datasets.files._common_size import resized_depth as resized_depth
 from sfgs_jax.datasets.files._common_size import scaled_intrinsics as scaled_intrinsics
+from sfgs_jax.datasets.files._common_size import working_size as working_size
 from sfgs_jax.datasets.files._confidence import ConfidentDepth as ConfidentDepth
 from sfgs_jax.datasets.files._confidence import confident as confident
+from sfgs_jax.datasets.files._depth_registration import DepthRegistration as DepthRegistration
 from sfgs_jax.datasets.files._file_recording import FilePair as FilePair
 from sfgs_jax.datasets.files._file_recording import FileRecording as FileRecording
 from sfgs_jax.datasets.files._file_recording import PairRegistration as PairRegistration
@@ -33,6 +36,7 @@ from sfgs_jax.datasets.files._ground_truth import ground_truth_by_time as ground
 from sfgs_jax.datasets.files._ground_truth import ground_truth_of_file as ground_truth_of_file
 from sfgs_jax.datasets.files._ground_truth import ground_truth_of_trajectory as ground_truth_of_trajectory
 from sfgs_jax.datasets.files._ground_truth import not_finite_notes as not_finite_notes
+from sfgs_jax.datasets.files._image_messages import ImageMessage as ImageMessage
 from sfgs_jax.datasets.files._images import COLOUR_SUFFIXES as COLOUR_SUFFIXES
 from sfgs_jax.datasets.files._images import DEPTH_SUFFIXES as DEPTH_SUFFIXES
 from sfgs_jax.datasets.files._images import ColourImage as ColourImage

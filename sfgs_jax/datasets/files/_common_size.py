@@ -74,12 +74,17 @@ def common_view(
             f"Colour images of {source} are {size_text(rgb)} but depth images are {size_text(depth)}, "
             "which is another aspect ratio; register depth to the colour camera."
         )
-    scale = min(1.0, max(_LONGER_SIDE, *depth_size) / max(colour_size))
-    size = (round(colour_size[0] * scale), round(colour_size[1] * scale))
+    size = working_size(colour_size, depth_size)
     scaled = scaled_intrinsics(intrinsics, colour_size, size)
     camera = scaled.camera(*size, source)
     resizing = _Resizing(colour_size, size, scaled.undistortion(camera))
     return CommonView(camera, resizing, notes)
+
+
+def working_size(colour_size: tuple[int, int], depth_size: tuple[int, int]) -> tuple[int, int]:
+    """Width and height of colour whose longer side is that of depth, but at least 640 and not enlarged."""
+    scale = min(1.0, max(_LONGER_SIDE, *depth_size) / max(colour_size))
+    return round(colour_size[0] * scale), round(colour_size[1] * scale)
 
 
 def scaled_intrinsics(intrinsics: Intrinsics, old: tuple[int, int], new: tuple[int, int]) -> Intrinsics:

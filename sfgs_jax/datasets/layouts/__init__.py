@@ -12,6 +12,7 @@ from sfgs_jax.datasets.layouts import nerfstudio as nerfstudio
 from sfgs_jax.datasets.layouts import open3d as open3d
 from sfgs_jax.datasets.layouts import record3d as record3d
 from sfgs_jax.datasets.layouts import replica as replica
+from sfgs_jax.datasets.layouts import rosbag as rosbag
 from sfgs_jax.datasets.layouts import scannet as scannet
 from sfgs_jax.datasets.layouts import scannetpp as scannetpp
 from sfgs_jax.datasets.layouts import seven_scenes as seven_scenes
