@@ -93,6 +93,7 @@ def test_the_lens_is_taken_out(desk, room):
         ({"intrinsics": "[1, 2, 3]"}, "should hold intrinsics"),
         ({"intrinsics": "[a, 2, 3, 4]"}, "should hold intrinsics"),
         ({"resolution": ""}, "should hold intrinsics"),
+        ({"resolution": "[inf, nan]"}, "should hold intrinsics"),
         ({"resolution": "[752, 480]"}, "are for 752x480 images"),
         ({"camera_model": "omni"}, "only pinhole cameras"),
         (
@@ -115,6 +116,7 @@ def test_sensor_files_that_cannot_be_used(desk, room, changes, message):
     [
         ("cam0", "1,../../secret.png\n", r"names '\.\./\.\./secret\.png', which lies outside"),
         ("depth0", "1,/etc/depth.png\n", "lies outside"),
+        ("cam0", "9" * 5000 + ",a.png\n", "line 1: expected 'nanoseconds,file'"),
         ("cam0", "1.5,a.png\n", "line 1: expected 'nanoseconds,file'"),
         ("depth0", "#head\n1\n", "line 2: expected 'nanoseconds,file'"),
         ("state_groundtruth_estimate0", "1,2,3\n", "a time stamp, a position and a quaternion"),

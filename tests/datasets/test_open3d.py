@@ -64,6 +64,7 @@ def test_a_camera_json_of_the_users_own_makes_it_a_plain_folder(desk):
         ("intrinsic.json", "no", "is not valid JSON"),
         ("trajectory.log", "0 0 1\n1 0 0 0\n", "three numbers and a 4x4 matrix"),
         ("trajectory.log", "0 0 x\n", "line 1: expected numbers"),
+        ("trajectory.log", "nan 0 1\n" + "1 0 0 0\n" * 4, "begin each frame with its number"),
     ],
 )
 def test_files_that_cannot_be_used(desk, name, text, message):

@@ -113,6 +113,11 @@ def test_damaged_frames_are_frame_errors(write):
             recording[n]
 
 
+def test_numbers_that_no_capture_has_are_passed_over(write):
+    path = write({"frameTimestamps": []}, **{f"rgbd/{'9' * count}.jpg": b"" for count in (9, 5000)})
+    assert len(open_recording(path)) == 5
+
+
 def test_members_larger_than_images_are_not_read(write):
     path = write(**{"rgbd/1.depth": bytes((1 << 24) + 1)})
     with pytest.raises(FrameError, match="more than it can need"):
@@ -126,6 +131,9 @@ def test_members_larger_than_images_are_not_read(write):
         ({"w": None}, "does not describe a Record3D capture"),
         ({"poses": "none"}, "does not describe a Record3D capture"),
         ({"w": 0}, "w, h and fps must be above 0"),
+        ({"frameTimestamps": [1, 2, float("nan"), 4, 5]}, "frameTimestamps must increase"),
+        ({"frameTimestamps": [1, 2, 2, 4, 5]}, "frameTimestamps must increase"),
+        ({"K": [float("nan")] * 9}, "focal lengths"),
         ({"w": 160, "h": 120}, "are for 160x120 images, but the images are 80x60"),
     ],
 )

@@ -65,7 +65,8 @@ def test_frames_that_lack_something(scene):
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ({"timestamp": "late"}, "timestamp of a frame should be a number"),
+        ({"timestamp": "late"}, "timestamp of a frame should be a finite number"),
+        ({"timestamp": float("nan")}, "timestamp of a frame should be a finite number"),
         ({"intrinsic": [1, 2]}, "intrinsic of a frame should be a 3x3 matrix"),
         ({"intrinsic": None}, "intrinsic of a frame should be a 3x3 matrix"),
         ({"aligned_pose": [[1]]}, "aligned_pose of a frame should be a 4x4 matrix"),
@@ -81,9 +82,10 @@ def test_entries_that_cannot_be_used(scene, entry, message):
 
 def test_what_is_missing_is_named(scene):
     folder, entries = scene
-    _write(scene, {"first": {}})
-    with pytest.raises(InputError, match="expected entries 'frame_000000'"):
-        open_recording(folder)
+    for name in ("first", "frame_" + "9" * 5000):
+        _write(scene, {name: {}})
+        with pytest.raises(InputError, match="expected entries 'frame_000000'"):
+            open_recording(folder)
     _write(scene, {})
     with pytest.raises(InputError, match="No frame of"):
         open_recording(folder)

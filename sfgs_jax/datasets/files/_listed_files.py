@@ -34,11 +34,12 @@ def listed_file(folder: Path, name: str, source: Path) -> Path:
         source: the list, for messages.
 
     Raises:
-        InputError: the name leads outside the folder.
+        InputError: the name leads outside the folder, or is the folder's.
     """
     relative = os.path.normpath(name)
-    if os.path.isabs(relative) or relative.split(os.sep)[0] == ".." or "\0" in relative:
-        raise InputError(f"{source} names {name!r}, which lies outside {folder}.")
+    outside = os.path.isabs(relative) or relative.split(os.sep)[0] in (os.curdir, os.pardir)
+    if outside or "\0" in relative:
+        raise InputError(f"{source} names {name!r}, which lies outside {folder}, or is no file.")
     return folder / relative
 
 

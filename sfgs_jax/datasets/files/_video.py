@@ -27,6 +27,7 @@ class Video:
     Attributes:
         path: the file.
         frames_per_second: nominal rate.
+        num_frames: number of frames, by the file's header if it has one; some of the last may be missing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -45,10 +46,11 @@ class Video:
         sides = [self._capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
         if not all(0 < side <= _LONGEST_SIDE for side in sides):
             raise InputError(f"{path} says that its frames are {sides[0]:g}x{sides[1]:g}, which can't be.")
-
-    def __len__(self) -> int:
-        """Number of frames by the file's header; some of the last ones may be missing."""
-        return max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        self.num_frames = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if self.num_frames <= 0:
+            while self._capture.grab():
+                self._next += 1
+            self.num_frames = self._next
 
     def rgb(self, index: int) -> Float[np.ndarray, "h w 3"]:
         """RGB in [0, 1] of a frame.

@@ -89,7 +89,7 @@ def _read_list(folder: Path) -> tuple[Float[np.ndarray, " n"], list[Path]]:
         words = [word.strip() for word in line.split("#")[0].split(",")]
         if words == [""]:
             continue
-        if len(words) != 2 or not words[0].isdecimal():
+        if len(words) != 2 or not re.fullmatch(r"\d{1,19}", words[0]):
             raise InputError(f"{path}, line {number}: expected 'nanoseconds,file', found {line!r}.")
         rows.append((int(words[0]) / 1e9, listed_file(folder / "data", words[1], path)))
     rows.sort(key=lambda row: row[0])
@@ -99,7 +99,7 @@ def _read_list(folder: Path) -> tuple[Float[np.ndarray, " n"], list[Path]]:
 def _intrinsics(path: Path) -> Intrinsics:
     text = _sensor_text(path)
     focal, size = _list(text, "intrinsics"), _list(text, "resolution")
-    if len(focal) != 4 or len(size) != 2:
+    if len(focal) != 4 or len(size) != 2 or not all(number.is_integer() for number in size):
         raise InputError(f"{path} should hold intrinsics: [fu, fv, cu, cv] and resolution: [width, height].")
     distortion, model = _list(text, "distortion_coefficients"), _word(text, "distortion_model")
     if _word(text, "camera_model") not in ("", "pinhole") or (

@@ -101,5 +101,7 @@ def _trajectory(source: Path) -> dict[int, Float[np.ndarray, "4 4"]]:
     numbers, matrices = rows[::5], [row for i, row in enumerate(rows) if i % 5]
     if len(rows) % 5 or any(len(row) != 4 for row in matrices) or any(len(row) != 3 for row in numbers):
         raise InputError(f"{path} should have three numbers and a 4x4 matrix for each frame.")
+    if not all(number[0].is_integer() for number in numbers):
+        raise InputError(f"{path} should begin each frame with its number, a whole one.")
     poses = rigid_poses(np.asarray(matrices, np.float64).reshape(-1, 4, 4))
     return {int(number[0]): pose for number, pose in zip(numbers, poses, strict=True)}

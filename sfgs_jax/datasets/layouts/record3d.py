@@ -90,7 +90,8 @@ class _Members:
             raise InputError(f"{source} cannot be read as an .r3d archive: {error}.") from error
         self.names = frozenset(names)
         stems = [name[5:-4] for name in names if name.startswith("rgbd/") and name.endswith(".jpg")]
-        self.frames = sorted(int(stem) for stem in stems if stem.isdecimal())
+        # Beyond a million frames a number is damage.
+        self.frames = sorted(int(stem) for stem in stems if stem.isdecimal() and len(stem) <= 6)
 
     def read(self, name: str, largest: int = _LARGEST_MEMBER) -> bytes:
         """Content of a file of at most `largest` bytes. Raises FrameError if it can't be read."""
@@ -143,6 +144,8 @@ class _Metadata:
             fps = float(content.get("fps") or _FRAMES_PER_SECOND)
             if min(width, height, fps) <= 0:
                 raise ValueError("w, h and fps must be above 0")
+            if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+                raise ValueError("frameTimestamps must increase")
         except FrameError as error:
             raise InputError(str(error)) from error
         except (

@@ -4,6 +4,7 @@ Source: Yeshwanth et al., ScanNet++, ICCV 2023, and the exports of its toolkit. 
 colour, in millimetres and a fraction of its size. Poses are of cameras with OpenCV's axes.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -95,7 +96,7 @@ def _entries(path: Path) -> dict[int, dict[str, Any]]:
     """Entry of each frame, by its number."""
     entries = {}
     for name, entry in read_json(path).items():
-        number = re.fullmatch(r"frame_(\d+)", name)
+        number = re.fullmatch(r"frame_(\d{1,9})", name)
         if number is None or not isinstance(entry, dict):
             raise InputError(
                 f"{path}: expected entries 'frame_000000' with pose and intrinsic, found {name!r}."
@@ -113,13 +114,13 @@ def _colour(root: Path, numbers: list[int]) -> Mapping[int, Path | ColourImage]:
     if path is None:
         raise InputError(f"{root} has no rgb/frame_*.jpg and no rgb.mkv.")
     video = Video(path)
-    return {n: VideoFrame(video, n) for n in numbers if n < len(video)}
+    return {n: VideoFrame(video, n) for n in numbers if n < video.num_frames}
 
 
 def _number(entry: dict[str, Any], key: str, root: Path) -> float:
     value = entry.get(key)
-    if not isinstance(value, int | float):
-        raise InputError(f"{root / _FILE}: {key} of a frame should be a number, not {value!r}.")
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{root / _FILE}: {key} of a frame should be a finite number, not {value!r}.")
     return float(value)
 
 

@@ -47,7 +47,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     confidence = images_by_number(source / "confidence", "", (".png",))
     rows = read_table(source / "odometry.csv", *_COLUMNS)
     rows = rows[np.isfinite(rows[:, :2]).all(axis=1)]
-    complete = np.asarray([n in depth and n < len(video) for n in rows[:, 1].tolist()], bool)
+    complete = np.asarray([n in depth and n < video.num_frames for n in rows[:, 1].tolist()], bool)
     known = rows[complete]
     pairs = []
     for timestamp, number in known[:, :2].tolist():

@@ -35,12 +35,12 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     scale = options.depth_scale or intrinsics.depth_scale
     video = Video(videos[0])
     depth = images_in(source / "depth", DEPTH_SUFFIXES)
-    numbers = _frame_numbers(source, depth, len(video))
+    numbers = _frame_numbers(source, depth, video.num_frames)
     rate = intrinsics.fps or video.frames_per_second
     pairs = [
         FilePair(VideoFrame(video, n), path, n / rate)
         for n, path in sorted(zip(numbers, depth, strict=True))
-        if n < len(video)
+        if n < video.num_frames
     ]
     beyond = len(depth) - len(pairs)
     notes = [f"{beyond} of {len(depth)} depth images lie beyond the end of the video."] if beyond else []
