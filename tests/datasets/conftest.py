@@ -74,9 +74,11 @@ def _stored(frame) -> tuple[np.ndarray, np.ndarray]:
 def check_capture(room, capture):
     """Compares a recording with the room: sizes, intrinsics, images and poses."""
 
-    def check(recording, *, dataset: str, small_depth: bool = True, step: float = 0.001) -> None:
+    def check(
+        recording, *, dataset: str, small_depth: bool = True, step: float = 0.001, notes: tuple = ()
+    ) -> None:
         assert recording.dataset == dataset
-        assert recording.notes == ()
+        assert recording.notes == notes
         assert len(recording) == len(capture)
         assert recording.camera.shape == room.camera.shape
         np.testing.assert_allclose(recording.camera.matrix(), room.camera.matrix(), rtol=1e-6)

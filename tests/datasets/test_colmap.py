@@ -9,6 +9,8 @@ from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import open_recording
 from sfgs_jax.geometry import quaternions_from_rotations
 
+SCALE = "COLMAP's poses have a scale of their own: errors are in metres only if that was set."
+
 
 class Model:
     """Writes a model, as text or binary."""
@@ -69,14 +71,14 @@ def test_images_poses_and_intrinsics(desk, model, check_capture, place):
         (desk / "sparse/0/cameras.txt").unlink()
         model.write_text(desk / place)
     recording = open_recording(desk)
-    check_capture(recording, dataset="colmap")
+    check_capture(recording, dataset="colmap", notes=(SCALE,))
     np.testing.assert_allclose(recording.timestamps, np.arange(5) / 30)
 
 
 def test_binary_models(desk, model, check_capture):
     model.write_binary(desk / "sparse/0")
     (desk / "sparse/0/images.txt").write_text("not read")
-    check_capture(open_recording(desk), dataset="colmap")
+    check_capture(open_recording(desk), dataset="colmap", notes=(SCALE,))
 
 
 def _own_depth(depth: np.ndarray) -> bytes:
@@ -116,6 +118,7 @@ def test_images_without_depth_or_pose(desk, model):
     assert recording.ground_truth.timestamps.shape == (3,)
     assert recording.notes == (
         "1 of 5 images have no depth map and are left out.",
+        SCALE,
         "1 of 4 frames have no ground-truth pose.",
     )
 

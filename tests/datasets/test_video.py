@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -63,6 +64,17 @@ def test_a_video_that_ends_early(desk):
     recording[0]
     with pytest.raises(FrameError, match=r"Frame 4 of .*clip\.mkv cannot be decoded"):
         recording[4]
+
+
+def test_a_stream_that_does_not_tell_its_length(desk, capture):
+    images = [
+        cv2.imencode(".jpg", frame.rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])[1] for frame in capture
+    ]
+    (desk / "clip.mkv").unlink()
+    (desk / "clip.avi").write_bytes(b"".join(image.tobytes() for image in images))
+    recording = open_recording(desk)
+    assert len(recording) == 5
+    assert np.abs(recording[3].rgb - capture[3].rgb / 255).mean() < 0.02
 
 
 def test_what_cannot_be_used(desk):

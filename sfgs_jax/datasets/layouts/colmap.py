@@ -58,6 +58,8 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     notes = [f"{left_out} of {len(names)} images have no depth map and are left out."] if left_out else []
     if any(isinstance(image, ColmapDepth) for image in found.values()):
         notes.append("COLMAP's own depth is in units of its reconstruction, which need not be metres.")
+    else:
+        notes.append("COLMAP's poses have a scale of their own: errors are in metres only if that was set.")
     colour = [source / "images" / name for name in found]
     timestamps = times_of_names(colour, _FRAMES_PER_SECOND)
     pairs = [FilePair(*row) for row in zip(colour, found.values(), timestamps.tolist(), strict=True)]
