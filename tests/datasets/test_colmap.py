@@ -143,6 +143,7 @@ def test_lenses_are_taken_out(desk, model, number, name, lens):
     ("name", "text", "message"),
     [
         ("cameras.txt", "7 OPENCV_FISHEYE 80 60 1 2 3 4 5 6 7 8", "model OPENCV_FISHEYE can't be read"),
+        ("cameras.txt", "7 PINHOLE 80 60 inf 60 40 30", "should be finite numbers"),
         ("cameras.txt", "7 PINHOLE 80 60 1 2 3", "PINHOLE has 4 parameters"),
         ("cameras.txt", "7 PINHOLE 80", "line 1: expected 'id model"),
         ("cameras.txt", "", "has none of the images"),

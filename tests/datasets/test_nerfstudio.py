@@ -145,7 +145,7 @@ def test_a_pose_that_is_no_matrix(scene):
     assert bent.notes == ("5 ground-truth poses are not finite and ignored.",)
 
 
-@pytest.mark.parametrize("text", ["{", "[1]", "[" * 100_000])
+@pytest.mark.parametrize("text", ["{", "[1]", "[" * 100_000, '{"w": ' + "9" * 5000 + "}"])
 def test_a_file_that_is_no_object(scene, text):
     folder, _ = scene
     (folder / "transforms.json").write_text(text)

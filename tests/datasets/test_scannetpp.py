@@ -66,6 +66,7 @@ def test_frames_that_lack_something(scene):
     ("entry", "message"),
     [
         ({"timestamp": "late"}, "timestamp of a frame should be a finite number"),
+        ({"timestamp": 1}, "do not increase"),
         ({"timestamp": float("nan")}, "timestamp of a frame should be a finite number"),
         ({"intrinsic": [1, 2]}, "intrinsic of a frame should be a 3x3 matrix"),
         ({"intrinsic": None}, "intrinsic of a frame should be a 3x3 matrix"),

@@ -79,6 +79,20 @@ def test_files_that_cannot_be_used(scan, name, text, message):
     assert len(str(caught.value).splitlines()) == 1
 
 
+def test_damaged_poses_and_times(scan):
+    path = scan / "odometry.csv"
+    lines = path.read_text().splitlines()
+    cells = [line.split(", ") for line in lines]
+    for row, column, value in ((1, 2, "1e308"), (2, 5, "1e308"), (3, 8, "nan")):
+        cells[row][column] = value
+    path.write_text("\n".join(", ".join(row) for row in cells))
+    recording = open_recording(scan)
+    assert recording.notes == ("3 ground-truth poses are not finite and ignored.",)
+    path.write_text("\n".join([lines[0], lines[2], lines[1]]))
+    with pytest.raises(InputError, match=r"time stamps in .*odometry\.csv do not increase"):
+        open_recording(scan)
+
+
 def test_a_capture_without_its_video(scan):
     (scan / "rgb.mp4").unlink()
     with pytest.raises(InputError, match=r"There is no video .*rgb\.mp4"):

@@ -48,10 +48,8 @@ from sfgs_jax.datasets.files._images import decode_depth as decode_depth
 from sfgs_jax.datasets.files._images import depth_of_array as depth_of_array
 from sfgs_jax.datasets.files._images import depth_of_bytes as depth_of_bytes
 from sfgs_jax.datasets.files._images import depth_units as depth_units
-from sfgs_jax.datasets.files._listed_files import is_time as is_time
 from sfgs_jax.datasets.files._listed_files import listed_file as listed_file
 from sfgs_jax.datasets.files._listed_files import read_json as read_json
-from sfgs_jax.datasets.files._listed_files import times_of_names as times_of_names
 from sfgs_jax.datasets.files._lzfse import decompress_lzfse as decompress_lzfse
 from sfgs_jax.datasets.files._lzfse import require_lzfse as require_lzfse
 from sfgs_jax.datasets.files._pose_files import inverse_poses as inverse_poses
@@ -64,6 +62,9 @@ from sfgs_jax.datasets.files._pose_files import read_table as read_table
 from sfgs_jax.datasets.files._pose_files import read_text as read_text
 from sfgs_jax.datasets.files._pose_files import read_tum_poses as read_tum_poses
 from sfgs_jax.datasets.files._pose_files import rigid_poses as rigid_poses
+from sfgs_jax.datasets.files._timestamps import check_increasing as check_increasing
+from sfgs_jax.datasets.files._timestamps import is_time as is_time
+from sfgs_jax.datasets.files._timestamps import times_of_names as times_of_names
 from sfgs_jax.datasets.files._video import VIDEO_SUFFIXES as VIDEO_SUFFIXES
 from sfgs_jax.datasets.files._video import Video as Video
 from sfgs_jax.datasets.files._video import VideoFrame as VideoFrame

@@ -121,10 +121,13 @@ def one_camera(cameras: Sequence[Intrinsics], source: Path) -> Intrinsics:
         source: the recording, for messages.
 
     Raises:
-        InputError: sizes or lenses differ, or focal lengths or principal points by more than 5 %.
+        InputError: a number is not finite, sizes or lenses differ, or focal lengths or principal points do by
+            more than 5 %.
     """
     first = cameras[0]
     numbers = np.asarray([(c.fx, c.fy, c.cx, c.cy) for c in cameras], np.float64)
+    if not np.isfinite(numbers).all():
+        raise InputError(f"The focal lengths and principal points of {source} should be finite numbers.")
     median = np.median(numbers, axis=0)
     focal, spread = float(median[0]), float(np.max(np.abs(numbers - median)))
     same = all(
@@ -148,13 +151,13 @@ def read_camera_json(path: Path) -> Intrinsics:
     """
     try:
         content = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path} is not valid JSON ({error}); it should look like {CAMERA_EXAMPLE}."
         ) from error
     if not isinstance(content, dict):
         raise InputError(f"{path} must hold one JSON object such as {CAMERA_EXAMPLE}.")
-    missing = [key for key in ("fx", "fy", "cx", "cy") if key not in content]
+    missing = [key for key in ("fx", "fy", "cx", "cy") if content.get(key) is None]
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}; it should look like {CAMERA_EXAMPLE}.")
     values: dict[str, float] = {}

@@ -47,7 +47,7 @@ class ImageMessage:
 
     def rgb(self) -> Float[np.ndarray, "h w 3"]:
         """RGB in [0, 1]. Raises FrameError if the message is no colour image."""
-        message = self.bag.message(self.topic, self.time)
+        message = self._message()
         if not hasattr(message, "encoding"):
             return colour_of_bytes(bytes(message.data), str(self))
         if message.encoding not in _COLOUR:
@@ -58,7 +58,7 @@ class ImageMessage:
 
     def metres(self, units_per_metre: float | None) -> Float[np.ndarray, "h w"]:
         """Depth in metres, 0 where missing. Raises FrameError if the message is no depth image."""
-        message = self.bag.message(self.topic, self.time)
+        message = self._message()
         if not hasattr(message, "encoding"):
             return self._compressed_metres(message, units_per_metre)
         if message.encoding not in _DEPTH:
@@ -68,6 +68,13 @@ class ImageMessage:
 
     def __str__(self) -> str:
         return f"the message of {self.topic} at {self.time} ns in {self.bag.path}"
+
+    def _message(self) -> Any:
+        message = self.bag.message(self.topic, self.time)
+        raw = all(hasattr(message, name) for name in ("encoding", "height", "width", "step", "is_bigendian"))
+        if not hasattr(message, "data") or not (raw or hasattr(message, "format")):
+            raise FrameError(f"{self} is no image as ROS defines it.")
+        return message
 
     def _compressed_metres(self, message: Any, units_per_metre: float | None) -> Float[np.ndarray, "h w"]:
         data, kind = bytes(message.data), str(message.format)

@@ -2,13 +2,8 @@
 
 import json
 import os
-import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from jaxtyping import Float
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets.files._pose_files import read_text
@@ -17,8 +12,9 @@ from sfgs_jax.datasets.files._pose_files import read_text
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a JSON file. Raises InputError if it can't be read or holds something else."""
     try:
+        # Not only JSONDecodeError: numbers of thousands of digits are a ValueError.
         content = json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not valid JSON ({error}).") from error
     if not isinstance(content, dict):
         raise InputError(f"{path} should hold one JSON object.")
@@ -41,15 +37,3 @@ def listed_file(folder: Path, name: str, source: Path) -> Path:
     if outside or "\0" in relative:
         raise InputError(f"{source} names {name!r}, which lies outside {folder}, or is no file.")
     return folder / relative
-
-
-def is_time(path: Path) -> bool:
-    """True if a file's name without its ending is a number with a decimal point, such as a time stamp."""
-    return re.fullmatch(r"\d+\.\d+", path.stem) is not None
-
-
-def times_of_names(paths: Sequence[Path], frames_per_second: float) -> Float[np.ndarray, " n"]:
-    """Time stamps from the files' names if all are decimal numbers, else from the frame rate; seconds."""
-    if all(map(is_time, paths)):
-        return np.asarray([float(path.stem) for path in paths], np.float64)
-    return np.arange(len(paths), dtype=np.float64) / frames_per_second

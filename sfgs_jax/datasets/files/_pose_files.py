@@ -11,6 +11,8 @@ from sfgs_jax.geometry import Trajectory, parse_tum, rotations_from_quaternions
 
 # Files keep few digits, so the singular values of a rotation are off by some 1e-3.
 _RIGID_TOLERANCE = 0.02
+# Metres. A larger number is damage, and products of it would overflow.
+_FARTHEST = 1e9
 
 
 def read_text(path: Path) -> str:
@@ -120,7 +122,7 @@ def read_tum_poses(path: Path) -> tuple[Trajectory, int]:
 def rigid_poses(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
     """Poses with orthonormal rotations (by SVD); NaN for those that aren't finite rigid motions."""
     poses = np.asarray(poses, np.float64)
-    finite = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
+    finite = np.asarray((np.abs(poses) < _FARTHEST).all(axis=(1, 2)))
     u, s, vt = np.linalg.svd(np.where(finite[:, None, None], poses, np.eye(4))[:, :3, :3])
     rigid = finite & np.all(np.abs(s - 1) < _RIGID_TOLERANCE, axis=1) & (np.linalg.det(u @ vt) > 0)
     result = np.full_like(poses, np.nan)
@@ -133,8 +135,8 @@ def quaternion_poses(
     positions: Float[np.ndarray, "n 3"], xyzw: Float[np.ndarray, "n 4"]
 ) -> Float[np.ndarray, "n 4 4"]:
     """Poses of positions in metres and quaternions with their real part last; NaN where one is broken."""
-    norm = np.linalg.norm(xyzw, axis=1)
-    usable = np.isfinite(positions).all(axis=1) & np.isfinite(norm) & (norm > 0.5)
+    usable = np.all(np.abs(np.concatenate([positions, xyzw], axis=1)) < _FARTHEST, axis=1)
+    usable &= np.linalg.norm(np.where(usable[:, None], xyzw, 0), axis=1) > 0.5
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, :3, :3] = rotations_from_quaternions(np.where(usable[:, None], xyzw, 1.0)[:, [3, 0, 1, 2]])
     poses[:, :3, 3] = positions

@@ -160,7 +160,7 @@ def _pose(frame: dict[str, Any], path: Path) -> Float[np.ndarray, "4 4"] | None:
         pose = np.asarray(rows, np.float64)
         if pose.shape == (3, 4):
             pose = np.vstack([pose, [0, 0, 0, 1]])
-        return rigid_poses(opencv_poses(pose.reshape(1, 4, 4)))[0]
+        return opencv_poses(rigid_poses(pose.reshape(1, 4, 4)))[0]
     except (TypeError, ValueError) as error:
         raise InputError(
             f"{path}: transform_matrix of {frame['file_path']!r} should be a 4x4 matrix."

@@ -21,6 +21,7 @@ from sfgs_jax.datasets.files import (
     FilePair,
     FileRecording,
     Intrinsics,
+    check_increasing,
     colour_of_bytes,
     common_view,
     confident,
@@ -144,8 +145,8 @@ class _Metadata:
             fps = float(content.get("fps") or _FRAMES_PER_SECOND)
             if min(width, height, fps) <= 0:
                 raise ValueError("w, h and fps must be above 0")
-            if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
-                raise ValueError("frameTimestamps must increase")
+            if not np.isfinite(times).all():
+                raise ValueError("frameTimestamps must be finite")
         except FrameError as error:
             raise InputError(str(error)) from error
         except (
@@ -157,6 +158,7 @@ class _Metadata:
             IndexError,
         ) as error:
             raise InputError(f"{path} does not describe a Record3D capture ({error!r}).") from error
+        check_increasing(times, Path(path))
         if not len(times):
             times = np.arange(max(members.frames, default=-1) + 1) / fps
         return _Metadata(

@@ -53,7 +53,13 @@ def matches(source: Path) -> bool:
 
 def read(source: Path, options: ReaderOptions) -> FileRecording:
     """Open a bag. Arguments and errors as of `open_recording`."""
-    bag = Bag(source)
+    try:
+        return _read(Bag(source), source, options)
+    except AttributeError as error:
+        raise InputError(f"The messages of {source} are not as ROS defines them: {error}.") from error
+
+
+def _read(bag: Bag, source: Path, options: ReaderOptions) -> FileRecording:
     colour_topic, depth_topic, notes = _topics(bag)
     colour, depth = _Stream.read(bag, colour_topic), _Stream.read(bag, depth_topic)
     matched = associate(colour.times, depth.times, options.association_limit)

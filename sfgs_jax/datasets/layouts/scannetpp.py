@@ -23,6 +23,7 @@ from sfgs_jax.datasets.files import (
     Intrinsics,
     Video,
     VideoFrame,
+    check_increasing,
     common_view,
     ground_truth_by_frame,
     images_by_number,
@@ -55,6 +56,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     colour = _colour(root, sorted(depth))
     numbers = [n for n in sorted(colour) if n in entries]
     timestamps = np.asarray([_number(entries[n], "timestamp", root) for n in numbers], np.float64)
+    check_increasing(timestamps, root / _FILE)
     pairs = [
         FilePair(colour[n], depth[n], time) for n, time in zip(numbers, timestamps.tolist(), strict=True)
     ]

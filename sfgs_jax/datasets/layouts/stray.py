@@ -20,6 +20,7 @@ from sfgs_jax.datasets.files import (
     Intrinsics,
     Video,
     VideoFrame,
+    check_increasing,
     common_view,
     ground_truth_by_frame,
     images_by_number,
@@ -49,6 +50,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     rows = rows[np.isfinite(rows[:, :2]).all(axis=1)]
     complete = np.asarray([n in depth and n < video.num_frames for n in rows[:, 1].tolist()], bool)
     known = rows[complete]
+    check_increasing(known[:, 0], source / "odometry.csv")
     pairs = []
     for timestamp, number in known[:, :2].tolist():
         n = int(number)
