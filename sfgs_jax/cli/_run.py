@@ -37,11 +37,11 @@ from sfgs_jax.slam import (
 
 _USAGE = """usage: sfgs-jax run SOURCE [--out DIR] [OPTIONS]
 
-SOURCE is the folder of a recording, or the built-in room: sfgs-jax run synthetic
+SOURCE is the folder or file of a recording, or the built-in room: sfgs-jax run synthetic
 All options: sfgs-jax run --help"""
 
 _SOURCE_HELP = (
-    "Folder of the recording, or the built-in room: `synthetic` or `synthetic:frames=60,width=160`."
+    "Folder or file of the recording, or the built-in room: `synthetic` or `synthetic:frames=60,width=160`."
 )
 _DATASET_HELP = f"Layout of the recording: {', '.join(LAYOUTS)}. None recognises it."
 

@@ -9,7 +9,23 @@ from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.datasets._selection import select
 from sfgs_jax.datasets.files import FileRecording
-from sfgs_jax.datasets.layouts import folder, icl_nuim, replica, scannet, seven_scenes, tum
+from sfgs_jax.datasets.layouts import (
+    colmap,
+    euroc,
+    folder,
+    icl_nuim,
+    nerfstudio,
+    open3d,
+    record3d,
+    replica,
+    rosbag,
+    scannet,
+    scannetpp,
+    seven_scenes,
+    stray,
+    tum,
+    video,
+)
 from sfgs_jax.datasets.synthetic import SyntheticRecording
 
 
@@ -18,7 +34,7 @@ class _Layout:
     """One arrangement of a recording on disk.
 
     Attributes:
-        matches: tells whether a folder has this layout.
+        matches: tells whether a folder, or a file, has this layout.
         read: opens it.
         marks: the files it is recognised by, for messages.
     """
@@ -28,13 +44,23 @@ class _Layout:
     marks: str
 
 
-# In the order in which they are tried: the plain folder last, since others have rgb/ and depth/ as well.
+# In the order in which they are tried. ScanNet comes after Open3D, which has color/ and depth/ as well. The
+# plain folder comes last, since others have rgb/ and depth/.
 _FILE_LAYOUTS = {
     "tum": _Layout(tum.matches, tum.read, "rgb.txt and depth.txt"),
     "7scenes": _Layout(seven_scenes.matches, seven_scenes.read, "frame-000000.color.png"),
     "replica": _Layout(replica.matches, replica.read, "results/frame000000.jpg"),
     "icl_nuim": _Layout(icl_nuim.matches, icl_nuim.read, "rgb/ and a *.gt.freiburg file"),
+    "open3d": _Layout(open3d.matches, open3d.read, "color/, depth/ and intrinsic.json"),
     "scannet": _Layout(scannet.matches, scannet.read, "color/ and depth/"),
+    "stray": _Layout(stray.matches, stray.read, "odometry.csv and depth/"),
+    "record3d": _Layout(record3d.matches, record3d.read, "an .r3d archive's metadata and rgbd/"),
+    "nerfstudio": _Layout(nerfstudio.matches, nerfstudio.read, "transforms.json"),
+    "colmap": _Layout(colmap.matches, colmap.read, "images/ and sparse/0/"),
+    "euroc": _Layout(euroc.matches, euroc.read, "mav0/cam0/data.csv"),
+    "scannetpp": _Layout(scannetpp.matches, scannetpp.read, "pose_intrinsic_imu.json"),
+    "rosbag": _Layout(rosbag.matches, rosbag.read, "a bag's metadata.yaml"),
+    "video": _Layout(video.matches, video.read, "a video, depth/ and camera.json"),
     "folder": _Layout(folder.matches, folder.read, "rgb/, depth/ and camera.json"),
 }
 
@@ -50,9 +76,9 @@ def open_recording(
     """Open a recording, recognising its layout; docs/datasets.md describes the layouts.
 
     Args:
-        source: a folder; or "synthetic" or "synthetic:frames=60,width=160,height=120,seed=1,noise=1" for the
-            built-in synthetic room; or "synthetic:place=ring,frames=1000" for another place, and with
-            "kinect=1" a Kinect's faults.
+        source: a folder, or an .r3d or bag file; or "synthetic" or
+            "synthetic:frames=60,width=160,height=120,seed=1,noise=1" for the built-in synthetic room; or
+            "synthetic:place=ring,frames=1000" for another place, and with "kinect=1" a Kinect's faults.
         dataset: one of `LAYOUTS`; None recognises the layout.
         options: units, intrinsics and choice of frames; None means the defaults.
 
@@ -71,7 +97,7 @@ def open_recording(
     path = Path(source).expanduser()
     if not path.exists():
         raise InputError(f"There is no {path}.")
-    if not path.is_dir():
+    if path.is_file() and not any(layout.matches(path) for layout in _FILE_LAYOUTS.values()):
         raise InputError(f"{path} is a file; give the folder of a recording (its images unpacked).")
     layout = _FILE_LAYOUTS[dataset or _recognise(path)]
     if not layout.matches(path):
@@ -88,11 +114,10 @@ def _recognise(path: Path) -> str:
 
 
 def _hint(path: Path) -> str:
-    """Folders inside `path` that are recordings, since giving the folder above is the usual mistake."""
+    """Recordings inside `path`, since giving the folder above is the usual mistake."""
+    children = sorted(path.iterdir()) if path.is_dir() else []
     inside = [
-        child.name
-        for child in sorted(path.iterdir())
-        if child.is_dir() and any(layout.matches(child) for layout in _FILE_LAYOUTS.values())
+        child.name for child in children if any(layout.matches(child) for layout in _FILE_LAYOUTS.values())
     ]
     if not inside:
         return ""

@@ -19,6 +19,8 @@ class ReaderOptions:
     """A camera.json that replaces the layout's intrinsics; docs/datasets.md explains the file."""
     max_depth: float | None = None
     """Largest depth, metres. Farther depth counts as missing; None keeps everything."""
+    min_confidence: int = 1
+    """Least confidence of depth to keep, where a phone stores it. 0 keeps all, 1 drops low, 2 keeps high."""
     start: int = 0
     """First frame, counted from 0."""
     end: int | None = None
@@ -32,3 +34,4 @@ class ReaderOptions:
         given = [name for name in ("depth_scale", "max_depth") if getattr(self, name) is not None]
         check_positive(self, *given)
         check_counts(self, 1, "stride")
+        check_counts(self, 0, "min_confidence")

@@ -115,6 +115,7 @@ def test_number_of_poses_must_be_that_of_frames(record):
     [
         (None, r"Intrinsics of .*mine are missing: write .*camera\.json, for example"),
         ({"fx": 20, "fy": 20}, "lacks cx, cy"),
+        ({**CAMERA, "cx": None}, "lacks cx"),
         ({**CAMERA, "fx": "20"}, "fx must be a positive number"),
         ({**CAMERA, "depth_scale": 0}, "depth_scale must be a positive number"),
         ({**CAMERA, "width": 640, "height": 480}, "are for 640x480 images, but the images are 32x24"),
@@ -130,18 +131,16 @@ def test_camera_file_that_cannot_be_used(record, camera, message):
 
 def test_camera_file_that_is_no_json(record):
     folder = record(["0.png"], ["0.png"])
-    (folder / "camera.json").write_text("{fx: 1}")
-    with pytest.raises(InputError, match="not valid JSON"):
-        open_recording(folder)
+    for text in ("{fx: 1}", '{"fx": ' + "9" * 5000 + "}", "[" * 100_000):
+        (folder / "camera.json").write_text(text)
+        with pytest.raises(InputError, match="not valid JSON"):
+            open_recording(folder)
 
 
 def test_entries_that_are_not_used_are_noted(record):
-    recording = open_recording(record(["0.png"], ["0.png"], {**CAMERA, "k1": 0.1}))
-    assert recording.notes == (f"{recording_path(recording)} has entries that are not used: k1.",)
-
-
-def recording_path(recording):
-    return recording.recording.pairs[0].colour.parents[1] / "camera.json"
+    folder = record(["0.png"], ["0.png"], {**CAMERA, "k1": 0.1})
+    expected = f"{folder / 'camera.json'} has entries that are not used: k1."
+    assert open_recording(folder).notes == (expected,)
 
 
 def test_implausible_scale_is_noted(record):

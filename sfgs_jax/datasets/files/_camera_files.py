@@ -2,8 +2,11 @@
 
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets.files._pose_files import read_text
@@ -14,6 +17,9 @@ CAMERA_EXAMPLE = '{"fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "depth_sc
 """A camera.json, for error messages."""
 
 _DISTORTION_COUNTS = (4, 5, 8)
+# Of a focal length. Autofocus stays within the first, and the second moves a pixel of a small image.
+_LARGEST_SPREAD = 0.05
+_NOTED_SPREAD = 0.002
 _NUMBERS = ("fx", "fy", "cx", "cy", "depth_scale", "width", "height", "fps")
 
 
@@ -54,8 +60,13 @@ class Intrinsics:
             source: the recording, for messages.
 
         Raises:
-            InputError: the intrinsics belong to images of another size, or the principal point is outside.
+            InputError: a focal length is no positive number, the intrinsics belong to images of another size,
+                or the principal point is outside.
         """
+        if not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
+            raise InputError(
+                f"The focal lengths ({self.fx:g}, {self.fy:g}) of {source} should be positive, in pixels."
+            )
         if (self.width or width, self.height or height) != (width, height):
             raise InputError(
                 f"The intrinsics of {source} are for {self.width or '?'}x{self.height or '?'} images, "
@@ -86,6 +97,52 @@ class Intrinsics:
         return Undistortion(camera, self.distortion) if any(self.distortion) else None
 
 
+def own_camera(source: Path, given: Path | None) -> Intrinsics:
+    """Intrinsics of a user's own recording: a given camera file, else the camera.json in its folder.
+
+    Args:
+        source: the folder.
+        given: a camera file, or None.
+
+    Raises:
+        InputError: there is neither, or the file can't be understood.
+    """
+    path = given or source / "camera.json"
+    if not path.is_file():
+        raise InputError(f"Intrinsics of {source} are missing: write {path}, for example {CAMERA_EXAMPLE}.")
+    return read_camera_json(path)
+
+
+def one_camera(cameras: Sequence[Intrinsics], source: Path) -> Intrinsics:
+    """The camera of frames that have intrinsics each: their median, since autofocus changes them a little.
+
+    Args:
+        cameras: of the frames, at least one.
+        source: the recording, for messages.
+
+    Raises:
+        InputError: a number is not finite, sizes or lenses differ, or focal lengths or principal points do by
+            more than 5 %.
+    """
+    first = cameras[0]
+    numbers = np.asarray([(c.fx, c.fy, c.cx, c.cy) for c in cameras], np.float64)
+    if not np.isfinite(numbers).all():
+        raise InputError(f"The focal lengths and principal points of {source} should be finite numbers.")
+    median = np.median(numbers, axis=0)
+    focal, spread = float(median[0]), float(np.max(np.abs(numbers - median)))
+    same = all(
+        (c.width, c.height, c.distortion) == (first.width, first.height, first.distortion) for c in cameras
+    )
+    if not same or spread > _LARGEST_SPREAD * focal:
+        raise InputError(f"The frames of {source} have several cameras; give the frames of one camera.")
+    if spread > _NOTED_SPREAD * focal:
+        percent = 100 * spread / focal
+        note = f"Intrinsics of {source} differ by up to {percent:.1f} % between frames; the median is used."
+        first = replace(first, notes=(*first.notes, note))
+    fx, fy, cx, cy = median.tolist()
+    return replace(first, fx=fx, fy=fy, cx=cx, cy=cy)
+
+
 def read_camera_json(path: Path) -> Intrinsics:
     """Read a camera.json: fx, fy, cx, cy in pixels; optional depth_scale, fps, width, height, distortion.
 
@@ -94,13 +151,13 @@ def read_camera_json(path: Path) -> Intrinsics:
     """
     try:
         content = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path} is not valid JSON ({error}); it should look like {CAMERA_EXAMPLE}."
         ) from error
     if not isinstance(content, dict):
         raise InputError(f"{path} must hold one JSON object such as {CAMERA_EXAMPLE}.")
-    missing = [key for key in ("fx", "fy", "cx", "cy") if key not in content]
+    missing = [key for key in ("fx", "fy", "cx", "cy") if content.get(key) is None]
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}; it should look like {CAMERA_EXAMPLE}.")
     values: dict[str, float] = {}

@@ -1,14 +1,14 @@
-"""A recording whose frames are pairs of image files; every layout on disk becomes one."""
+"""A recording whose frames are pairs of images; every layout on disk becomes one."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from sfgs_jax.arrays import FrameError, InputError
-from sfgs_jax.datasets.files._images import decode_colour, decode_depth
+from sfgs_jax.datasets.files._images import ColourImage, DepthImage, decode_colour, decode_depth
 from sfgs_jax.geometry import Camera, Frame, Trajectory
 
 # The first frames of a recording may be damaged; so many are tried to learn the images' size.
@@ -25,17 +25,17 @@ PairRegistration = Callable[
 
 @dataclass(frozen=True)
 class FilePair:
-    """The files of one frame.
+    """The two images of one frame.
 
     Attributes:
-        colour: path of the colour image.
-        depth: path of the depth image.
+        colour: file of the colour image, or an image that decodes itself.
+        depth: file of the depth image, or an image that decodes itself.
         timestamp: seconds.
         depth_timestamp: seconds, of the depth image; None if not known.
     """
 
-    colour: Path
-    depth: Path
+    colour: Path | ColourImage
+    depth: Path | DepthImage
     timestamp: float
     depth_timestamp: float | None = None
 
@@ -137,6 +137,6 @@ def depth_notes(depth: Float[np.ndarray, "h w"]) -> tuple[str, ...]:
     return ()
 
 
-def size_text(image: Float[np.ndarray, "h w *channels"]) -> str:
+def size_text(image: Shaped[np.ndarray, "h w *channels"]) -> str:
     """Width x height, for messages."""
     return f"{image.shape[1]}x{image.shape[0]}"

@@ -1,7 +1,9 @@
-"""Images in a folder, in natural order or by frame number."""
+"""Images in a folder, in natural order or by frame number, and pairs of them."""
 
 import re
 from pathlib import Path
+
+from sfgs_jax.arrays import InputError
 
 
 def images_in(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
@@ -45,3 +47,34 @@ def images_by_number(folder: Path, prefix: str, suffixes: tuple[str, ...]) -> di
         if match:
             found[int(match[1])] = path
     return found
+
+
+def matched_images(
+    source: Path, colour: list[Path], depth: list[Path]
+) -> tuple[list[tuple[Path, Path]], list[str]]:
+    """Colour and depth images that belong together, and notes for the log.
+
+    They are matched by name, or in natural order if there are equally many but the names differ.
+
+    Args:
+        source: the recording, for messages.
+        colour: files in natural order.
+        depth: files in natural order.
+
+    Raises:
+        InputError: no two images belong together.
+    """
+    by_stem = {path.stem: path for path in depth}
+    common = [path for path in colour if path.stem in by_stem]
+    if len(colour) == len(depth) and len(common) < len(colour):
+        return list(zip(colour, depth, strict=True)), []
+    if not common:
+        raise InputError(
+            f"{source} has {len(colour)} colour and {len(depth)} depth images, and no two share a name; "
+            "give images that belong together the same name."
+        )
+    unmatched = len(colour) - len(common)
+    notes = (
+        [f"{unmatched} of {len(colour)} colour images have no depth image of that name."] if unmatched else []
+    )
+    return [(path, by_stem[path.stem]) for path in common], notes

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets._association import poses_at
-from sfgs_jax.datasets.files._pose_files import read_tum_poses
+from sfgs_jax.datasets.files._pose_files import read_matrix_rows, read_numbers, read_tum_poses
 from sfgs_jax.geometry import Trajectory
 
 
@@ -56,6 +57,24 @@ def ground_truth_by_time(
     if not path.is_file():
         return None, []
     trajectory, broken = read_tum_poses(path)
+    return ground_truth_of_trajectory(trajectory, broken, path, timestamps, limit)
+
+
+def ground_truth_of_trajectory(
+    trajectory: Trajectory, broken: int, path: Path, timestamps: Float[np.ndarray, " n"], limit: float
+) -> tuple[Trajectory | None, list[str]]:
+    """Ground truth from a trajectory, interpolated at the frames' times.
+
+    Args:
+        trajectory: poses in order of time.
+        broken: number of poses of the file that could not be used.
+        path: the file, for messages.
+        timestamps: of the frames, seconds.
+        limit: as in `ground_truth_by_time`.
+
+    Returns:
+        As `ground_truth_by_time`.
+    """
     notes = not_finite_notes(broken)
     if not len(trajectory):
         return None, [*notes, f"{path} has no poses."]
@@ -64,6 +83,38 @@ def ground_truth_by_time(
     if missing:
         notes.append(f"{missing} of {len(timestamps)} frames have no ground-truth pose within {limit:g} s.")
     return (trajectory if len(known) else None), notes
+
+
+def ground_truth_of_file(
+    path: Path, timestamps: Float[np.ndarray, " n"], limit: float
+) -> tuple[Trajectory | None, list[str]]:
+    """Ground truth from a user's file: by time from TUM lines, or by frame from lines of a 4x4 matrix.
+
+    Args:
+        path: the file; without one there is no ground truth.
+        timestamps: of the frames, seconds.
+        limit: as in `ground_truth_by_time`.
+
+    Returns:
+        As `ground_truth_by_time`.
+
+    Raises:
+        InputError: the file is in neither form, or has not one matrix a frame.
+    """
+    if not path.is_file():
+        return None, []
+    rows = read_numbers(path)
+    if not rows:
+        return None, [f"{path} has no poses."]
+    if len(rows[0]) == 8:
+        return ground_truth_by_time(path, timestamps, limit)
+    poses = read_matrix_rows(path)
+    if len(poses) != len(timestamps):
+        raise InputError(
+            f"{path} has {len(poses)} poses for {len(timestamps)} frames; give one line per frame "
+            "('nan' where a pose is unknown), or TUM lines with time stamps."
+        )
+    return ground_truth_by_frame(list(poses), timestamps)
 
 
 def not_finite_notes(count: int) -> list[str]:

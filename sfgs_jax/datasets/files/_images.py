@@ -1,10 +1,11 @@
-"""Image files: decoding colour and depth to float32, and depth back to 16-bit units."""
+"""Images: decoding colour and depth to float32, and depth back to 16-bit units."""
 
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Shaped, UInt16
+from jaxtyping import Float, Shaped, UInt8, UInt16
 
 from sfgs_jax.arrays import FrameError
 
@@ -18,37 +19,114 @@ DEPTH_SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".pgm")
 _SATURATED = 65535
 
 
-def decode_colour(path: Path) -> Float[np.ndarray, "h w 3"]:
+@runtime_checkable
+class ColourImage(Protocol):
+    """A colour image that is no file of its own, such as a frame of a video. `str` names it in messages."""
+
+    def rgb(self) -> Float[np.ndarray, "h w 3"]:
+        """RGB in [0, 1]. Raises FrameError if it can't be decoded."""
+        ...
+
+
+@runtime_checkable
+class DepthImage(Protocol):
+    """A depth image that is no file of its own, such as one in an archive. `str` names it in messages."""
+
+    def metres(self, units_per_metre: float | None) -> Float[np.ndarray, "h w"]:
+        """Depth in metres, 0 where missing. Raises FrameError if it can't be decoded.
+
+        Args:
+            units_per_metre: as in `decode_depth`.
+        """
+        ...
+
+
+def decode_colour(image: Path | ColourImage) -> Float[np.ndarray, "h w 3"]:
     """RGB in [0, 1]. Grey images become grey RGB; an orientation tag is ignored, because depth has none.
 
+    Args:
+        image: an image file, or an image that decodes itself.
+
     Raises:
-        FrameError: the file can't be read, is truncated or is no image.
+        FrameError: the image can't be read, is truncated or is no image.
     """
-    image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if not isinstance(image, Path):
+        return image.rgb()
+    return colour_of_bytes(_read_bytes(image), str(image))
+
+
+def colour_of_bytes(data: bytes, name: str) -> Float[np.ndarray, "h w 3"]:
+    """RGB in [0, 1] of an encoded image.
+
+    Args:
+        data: the content of an image file.
+        name: what to call it in an error.
+
+    Raises:
+        FrameError: the image is truncated or is none.
+    """
+    return colour_of_bgr(_decode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, name))
+
+
+def colour_of_bgr(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    """RGB in [0, 1] of an image with 8 bits a channel in OpenCV's order, blue first."""
     return np.multiply(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.float32(1 / 255), dtype=np.float32)
 
 
-def decode_depth(path: Path, units_per_metre: float | None) -> Float[np.ndarray, "h w"]:
+def decode_depth(image: Path | DepthImage, units_per_metre: float | None) -> Float[np.ndarray, "h w"]:
     """Depth in metres; 0 where it is missing (0, saturated, negative or not finite).
 
     Args:
-        path: a 16-bit or floating-point image of one channel, or a two-dimensional `.npy` array.
+        image: a 16-bit or floating-point image file of one channel; a two-dimensional `.npy` array; or an
+            image that decodes itself.
         units_per_metre: divisor; None means 1000 for integers and 1 for floating point.
 
     Raises:
-        FrameError: the file can't be read, is truncated, or isn't such an image.
+        FrameError: the image can't be read, is truncated, or isn't such an image.
     """
-    if path.suffix.lower() == ".npy":
-        try:
-            image = np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise FrameError(f"{path} cannot be read as an array: {error}.") from error
-    else:
-        image = _decode(path, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    if not isinstance(image, Path):
+        return image.metres(units_per_metre)
+    if image.suffix.lower() != ".npy":
+        return depth_of_bytes(_read_bytes(image), units_per_metre, str(image))
+    try:
+        array = np.load(image, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise FrameError(f"{image} cannot be read as an array: {error}.") from error
+    return depth_of_array(array, units_per_metre, str(image))
+
+
+def depth_of_bytes(data: bytes, units_per_metre: float | None, name: str) -> Float[np.ndarray, "h w"]:
+    """Depth in metres, 0 where missing, of an encoded image.
+
+    Args:
+        data: the content of an image file.
+        units_per_metre: as in `decode_depth`.
+        name: what to call it in an error.
+
+    Raises:
+        FrameError: the image is truncated, or is no depth image.
+    """
+    image = _decode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION, name)
+    return depth_of_array(image, units_per_metre, name)
+
+
+def depth_of_array(
+    image: Shaped[np.ndarray, "..."], units_per_metre: float | None, name: str
+) -> Float[np.ndarray, "h w"]:
+    """Depth in metres, 0 where missing, of an array of units.
+
+    Args:
+        image: (h, w) integers of more than 8 bits, or floating point.
+        units_per_metre: as in `decode_depth`.
+        name: what to call it in an error.
+
+    Raises:
+        FrameError: the array is no depth image.
+    """
     if image.ndim != 2:
-        raise FrameError(f"{path} has shape {image.shape}; a depth image has one channel.")
+        raise FrameError(f"{name} has shape {image.shape}; a depth image has one channel.")
     if image.dtype == np.uint8:
-        raise FrameError(f"{path} has 8 bits; save depth as 16-bit PNG, or as floating point in metres.")
+        raise FrameError(f"{name} has 8 bits; save depth as 16-bit PNG, or as floating point in metres.")
     if np.issubdtype(image.dtype, np.integer):
         scale = np.float32(1 / (units_per_metre or 1000.0))
         depth = np.multiply(image, scale, dtype=np.float32, casting="unsafe")
@@ -56,7 +134,7 @@ def decode_depth(path: Path, units_per_metre: float | None) -> Float[np.ndarray,
             depth[image == _SATURATED] = 0
         return np.maximum(depth, 0)
     if not np.issubdtype(image.dtype, np.floating):
-        raise FrameError(f"{path} holds {image.dtype} values; depth must be integer or floating point.")
+        raise FrameError(f"{name} holds {image.dtype} values; depth must be integer or floating point.")
     depth = image.astype(np.float32) * np.float32(1 / (units_per_metre or 1.0))
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
 
@@ -75,20 +153,35 @@ def depth_units(depth: Float[np.ndarray, "h w"], units_per_metre: float) -> UInt
     return np.where((units > 0) & (units < _SATURATED), units, 0).astype(np.uint16)
 
 
-def _decode(path: Path, flags: int) -> Shaped[np.ndarray, "h w *channels"]:
+def read_levels(path: Path) -> UInt8[np.ndarray, "h w"]:
+    """An image of one channel of 8 bits, such as a map of confidence.
+
+    Raises:
+        FrameError: the file can't be read, is truncated, or isn't such an image.
+    """
+    image = _decode(_read_bytes(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION, str(path))
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise FrameError(f"{path} should have one channel of 8 bits, not {image.dtype} of {image.shape}.")
+    return image
+
+
+def _read_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise FrameError(f"{path} cannot be read: {error.strerror or error}.") from error
+
+
+def _decode(data: bytes, flags: int, name: str) -> Shaped[np.ndarray, "h w *channels"]:
     # Some OpenCV versions return the upper part of a truncated file without complaint.
     if not _is_whole(data):
-        raise FrameError(f"{path} is truncated ({len(data)} bytes).")
+        raise FrameError(f"{name} is truncated ({len(data)} bytes).")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
-        raise FrameError(f"{path} cannot be decoded: {error.err}.") from error
+        raise FrameError(f"{name} cannot be decoded: {error.err}.") from error
     if image is None:
-        raise FrameError(f"{path} is damaged or is not an image.")
+        raise FrameError(f"{name} is damaged or is not an image.")
     return image
 
 

@@ -1,29 +1,22 @@
 """A plain folder: rgb/, depth/, camera.json, and optionally poses.txt."""
 
-import re
 from pathlib import Path
-
-import numpy as np
-from jaxtyping import Float
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
-    CAMERA_EXAMPLE,
     COLOUR_SUFFIXES,
     DEPTH_SUFFIXES,
     FilePair,
     FileRecording,
-    Intrinsics,
-    ground_truth_by_frame,
-    ground_truth_by_time,
+    ground_truth_of_file,
     images_in,
-    read_camera_json,
-    read_matrix_rows,
-    read_numbers,
+    is_time,
+    matched_images,
+    own_camera,
     registered_size,
+    times_of_names,
 )
-from sfgs_jax.geometry import Trajectory
 
 _FRAMES_PER_SECOND = 30.0
 
@@ -40,10 +33,10 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     for name, images in (("rgb", colour), ("depth", depth)):
         if not images:
             raise InputError(f"No images in {source / name}; put the {name} images there as PNG files.")
-    intrinsics = _intrinsics(source, options)
+    intrinsics = own_camera(source, options.camera)
     scale = options.depth_scale or intrinsics.depth_scale
-    matched, match_notes = _match(source, colour, depth)
-    timestamps = _timestamps([pair[0] for pair in matched], intrinsics.fps or _FRAMES_PER_SECOND)
+    matched, match_notes = matched_images(source, colour, depth)
+    timestamps = times_of_names([pair[0] for pair in matched], intrinsics.fps or _FRAMES_PER_SECOND)
     depth_times = _depth_timestamps(matched)
     pairs = [
         FilePair(colour_path, depth_path, time, depth_time)
@@ -52,7 +45,9 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
         )
     ]
     width, height, depth_notes = registered_size(source, pairs, scale)
-    ground_truth, truth_notes = _ground_truth(source / "poses.txt", timestamps, options)
+    ground_truth, truth_notes = ground_truth_of_file(
+        source / "poses.txt", timestamps, options.association_limit
+    )
     camera = intrinsics.camera(width, height, source)
     return FileRecording(
         name=source.resolve().name,
@@ -66,70 +61,9 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     )
 
 
-def _intrinsics(source: Path, options: ReaderOptions) -> Intrinsics:
-    if options.camera is not None:
-        return read_camera_json(options.camera)
-    path = source / "camera.json"
-    if not path.is_file():
-        raise InputError(f"Intrinsics of {source} are missing: write {path}, for example {CAMERA_EXAMPLE}.")
-    return read_camera_json(path)
-
-
-def _match(source: Path, colour: list[Path], depth: list[Path]) -> tuple[list[tuple[Path, Path]], list[str]]:
-    """Colour and depth images that belong together, and notes for the log.
-
-    They are matched by name, or in natural order if there are equally many but the names differ.
-    """
-    by_stem = {path.stem: path for path in depth}
-    common = [path for path in colour if path.stem in by_stem]
-    if len(colour) == len(depth) and len(common) < len(colour):
-        return list(zip(colour, depth, strict=True)), []
-    if not common:
-        raise InputError(
-            f"{source} has {len(colour)} colour and {len(depth)} depth images, and no two share a name; "
-            "give images that belong together the same name."
-        )
-    unmatched = len(colour) - len(common)
-    notes = (
-        [f"{unmatched} of {len(colour)} colour images have no depth image of that name."] if unmatched else []
-    )
-    return [(path, by_stem[path.stem]) for path in common], notes
-
-
-def _timestamps(colour: list[Path], frames_per_second: float) -> Float[np.ndarray, " n"]:
-    """Time stamps from the files' names if all are decimal numbers, else from the frame rate; seconds."""
-    if all(_is_time(path) for path in colour):
-        return np.asarray([float(path.stem) for path in colour], np.float64)
-    return np.arange(len(colour), dtype=np.float64) / frames_per_second
-
-
 def _depth_timestamps(matched: list[tuple[Path, Path]]) -> list[float] | list[None]:
     """Seconds, if all names are decimal numbers. A depth image named after its colour image tells nothing."""
-    timed = all(_is_time(path) for pair in matched for path in pair)
+    timed = all(is_time(path) for pair in matched for path in pair)
     if not timed or all(colour.stem == depth.stem for colour, depth in matched):
         return [None] * len(matched)
     return [float(depth.stem) for _, depth in matched]
-
-
-def _is_time(path: Path) -> bool:
-    return re.fullmatch(r"\d+\.\d+", path.stem) is not None
-
-
-def _ground_truth(
-    path: Path, timestamps: Float[np.ndarray, " n"], options: ReaderOptions
-) -> tuple[Trajectory | None, list[str]]:
-    """Poses by time from lines of eight numbers, or in the frames' order from lines of a 4x4 matrix."""
-    if not path.is_file():
-        return None, []
-    rows = read_numbers(path)
-    if not rows:
-        return None, [f"{path} has no poses."]
-    if len(rows[0]) != 8:
-        poses = read_matrix_rows(path)
-        if len(poses) != len(timestamps):
-            raise InputError(
-                f"{path} has {len(poses)} poses for {len(timestamps)} frames; give one line per frame "
-                "('nan' where a pose is unknown), or TUM lines with time stamps."
-            )
-        return ground_truth_by_frame(list(poses), timestamps)
-    return ground_truth_by_time(path, timestamps, options.association_limit)

@@ -28,6 +28,7 @@ from sfgs_jax.datasets.files import (
     read_camera_json,
     read_matrix_file,
     read_numbers,
+    scaled_intrinsics,
     size_text,
 )
 
@@ -114,21 +115,13 @@ def _intrinsics(
             f"Intrinsics of {source} are missing: there is no {colour_file}; "
             f"export them with the frames, or give a camera.json such as {CAMERA_EXAMPLE}."
         )
-    scaled = _scaled(_read_matrix(colour_file), colour_size, depth_size)
+    scaled = scaled_intrinsics(_read_matrix(colour_file), colour_size, depth_size)
     if not depth_file.is_file():
         return scaled, None
     depth = _read_matrix(depth_file)
     zoom_u, zoom_v = depth.fx / scaled.fx, depth.fy / scaled.fy
     shift = (depth.cx - zoom_u * scaled.cx, depth.cy - zoom_v * scaled.cy)
     return depth, np.array([[zoom_u, 0, shift[0]], [0, zoom_v, shift[1]]])
-
-
-def _scaled(intrinsics: Intrinsics, old: tuple[int, int], new: tuple[int, int]) -> Intrinsics:
-    """Intrinsics of an image scaled from one size to another; pixel centres lie at integers."""
-    u, v = new[0] / old[0], new[1] / old[1]
-    return Intrinsics(
-        intrinsics.fx * u, intrinsics.fy * v, (intrinsics.cx + 0.5) * u - 0.5, (intrinsics.cy + 0.5) * v - 0.5
-    )
 
 
 def _read_matrix(path: Path) -> Intrinsics:

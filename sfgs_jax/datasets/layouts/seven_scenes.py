@@ -7,13 +7,13 @@ CVPR 2013.
 import re
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
+    DepthRegistration,
     FilePair,
     FileRecording,
     Intrinsics,
@@ -24,7 +24,6 @@ from sfgs_jax.datasets.files import (
     read_matrix_file,
     size_text,
 )
-from sfgs_jax.geometry import Camera, register_depth, se3
 
 _FRAMES_PER_SECOND = 30.0
 _UNITS_PER_METRE = 1000.0
@@ -73,7 +72,8 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     intrinsics = read_camera_json(options.camera).pinhole(source) if options.camera else _COLOUR
     camera = intrinsics.camera(width, height, source)
     timestamps = np.asarray([pair.timestamp for pair in pairs])
-    ground_truth, truth_notes = ground_truth_by_frame([_pose(pair) for pair in pairs], timestamps)
+    poses = [_pose(source / f"frame-{digits}.pose.txt") for digits in sorted(colour, key=int)]
+    ground_truth, truth_notes = ground_truth_by_frame(poses, timestamps)
     return FileRecording(
         name=source.resolve().name,
         dataset="7scenes",
@@ -82,30 +82,8 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
         units_per_metre=scale,
         ground_truth=ground_truth,
         notes=(*intrinsics.notes, *depth_notes(depth), *truth_notes),
-        register=_DepthRegistration(_DEPTH.camera(width, height, source), camera),
+        register=DepthRegistration(_DEPTH.camera(width, height, source), camera, T_COLOUR_DEPTH),
     )
-
-
-class _DepthRegistration:
-    """Draws depth into the colour camera's view."""
-
-    def __init__(self, depth_camera: Camera, camera: Camera) -> None:
-        self._depth_camera = depth_camera
-        self._camera = camera
-        self._T_camera_depth = se3.from_matrix(T_COLOUR_DEPTH)
-
-    def __call__(
-        self, rgb: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h2 w2"]
-    ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-        if depth.shape != self._depth_camera.shape or rgb.shape[:2] != self._camera.shape:
-            raise FrameError(
-                f"Colour is {size_text(rgb)} and depth {size_text(depth)}, other than the first frame's "
-                f"{self._camera.width}x{self._camera.height}."
-            )
-        registered = register_depth(
-            jnp.asarray(depth), self._depth_camera, self._camera, self._T_camera_depth
-        )
-        return rgb, np.asarray(registered)
 
 
 def _colour_images(source: Path) -> dict[str, Path]:
@@ -116,7 +94,6 @@ def _colour_images(source: Path) -> dict[str, Path]:
     return {match[1]: path for match, path in found if match}
 
 
-def _pose(pair: FilePair) -> Float[np.ndarray, "4 4"] | None:
-    """`T_world_colour` of a frame; None without a pose file."""
-    path = pair.depth.with_name(pair.depth.name.replace(".depth.png", ".pose.txt"))
+def _pose(path: Path) -> Float[np.ndarray, "4 4"] | None:
+    """`T_world_colour` from a frame's pose file; None without one."""
     return read_matrix_file(path) @ np.linalg.inv(T_COLOUR_DEPTH) if path.is_file() else None

@@ -1,0 +1,94 @@
+"""Bags of ROS 1 and ROS 2, and MCAP files, by the optional package rosbags."""
+
+import importlib
+import threading
+import weakref
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from sfgs_jax.arrays import FrameError, InputError
+
+
+class Bag:
+    """Messages of a bag by topic and time.
+
+    Each thread reads by a reader of its own, since a database belongs to the thread that opened it.
+
+    Attributes:
+        path: a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.
+        topics: type of the messages by topic, such as `sensor_msgs/msg/Image`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a bag.
+
+        Raises:
+            InputError: the package is missing, or the bag can't be read.
+        """
+        self.path = path
+        self._local = threading.local()
+        self._readers: list[Any] = []
+        weakref.finalize(self, _close, self._readers)
+        try:
+            importlib.import_module("rosbags.highlevel")
+        except ImportError as error:
+            raise InputError(f"{path} is a bag of ROS; pip install 'sfgs-jax[rosbag]' to read it.") from error
+        try:
+            self.topics = {connection.topic: connection.msgtype for connection in self._reader().connections}
+        except Exception as error:  # the package raises errors of many kinds at damaged files
+            raise InputError(f"{path} cannot be read as a bag: {_sentence(error)}") from error
+
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Messages of a topic with the times at which they were recorded, nanoseconds, in order of time.
+
+        Raises:
+            InputError: the bag is damaged.
+        """
+        try:
+            reader = self._reader()
+            wanted = [connection for connection in reader.connections if connection.topic == topic]
+            for connection, time, data in reader.messages(connections=wanted) if wanted else ():
+                yield time, reader.deserialize(data, connection.msgtype)
+        except Exception as error:
+            raise InputError(f"{topic} of {self.path} cannot be read: {_sentence(error)}") from error
+
+    def message(self, topic: str, time: int) -> Any:
+        """The message of a topic that was recorded at a time in nanoseconds.
+
+        Raises:
+            FrameError: there is none, or it is damaged.
+        """
+        try:
+            reader = self._reader()
+            wanted = [connection for connection in reader.connections if connection.topic == topic]
+            for connection, _, data in reader.messages(connections=wanted, start=time, stop=time + 1):
+                return reader.deserialize(data, connection.msgtype)
+        except Exception as error:
+            raise FrameError(f"{topic} of {self.path} cannot be read: {_sentence(error)}") from error
+        raise FrameError(f"{topic} of {self.path} has no message at {time} ns.")
+
+    def _reader(self) -> Any:
+        if not hasattr(self._local, "reader"):
+            highlevel = importlib.import_module("rosbags.highlevel")
+            typesys = importlib.import_module("rosbags.typesys")
+            # Bags of ROS 2 before Iron don't describe their messages; those used here have not changed since.
+            types = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+            reader = highlevel.AnyReader([self.path], default_typestore=types)
+            reader.open()
+            self._readers.append(reader)
+            self._local.reader = reader
+        return self._local.reader
+
+
+def _close(readers: list[Any]) -> None:
+    for reader in readers:
+        with suppress(Exception):
+            reader.close()
+
+
+def _sentence(error: Exception) -> str:
+    """An error as the end of a sentence, on one line."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if text.endswith(".") else f"{text}."

@@ -1,0 +1,39 @@
+"""Files that a list or a JSON file of a recording names."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets.files._pose_files import read_text
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file. Raises InputError if it can't be read or holds something else."""
+    try:
+        # Not only JSONDecodeError: numbers of thousands of digits are a ValueError.
+        content = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not valid JSON ({error}).") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path} should hold one JSON object.")
+    return content
+
+
+def listed_file(folder: Path, name: str, source: Path) -> Path:
+    """Path of a file that a list names.
+
+    Args:
+        folder: what names are relative to.
+        name: the name in the list.
+        source: the list, for messages.
+
+    Raises:
+        InputError: the name leads outside the folder, or is the folder's.
+    """
+    relative = os.path.normpath(name)
+    outside = os.path.isabs(relative) or relative.split(os.sep)[0] in (os.curdir, os.pardir)
+    if outside or "\0" in relative:
+        raise InputError(f"{source} names {name!r}, which lies outside {folder}, or is no file.")
+    return folder / relative
