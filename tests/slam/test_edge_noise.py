@@ -10,8 +10,9 @@ from registrations import registration
 
 from sfgs_jax import slam
 from sfgs_jax.geometry import se3
+from sfgs_jax.slam.frontend import feature_shapes
 from sfgs_jax.slam.keyframes import covariances_in_world, edge_noise, motion_covariance, prior_noise
-from sfgs_jax.slam.state import Edge, EdgeNoise
+from sfgs_jax.slam.state import Edge, EdgeNoise, Keyframe
 
 COUNT, REACH = 40, 4
 SCALES = np.repeat([0.004, 0.003], 3)
@@ -46,20 +47,24 @@ def graph(truth, room, config):
     pairs = [(a, b) for b in range(COUNT) for a in range(max(0, b - REACH), b)]
     errors = rng.multivariate_normal(np.zeros(6), truth, len(pairs))
     # Short motions commute nearly, so that the errors around a cycle simply add up.
-    state = slam.init(room.camera, config)
-    return replace(state.graph, edges=edges_with(errors, pairs, poses))
+    return replace(slam.init(room.camera, config).graph, edges=edges_with(errors, pairs, poses))
 
 
-def test_the_cycles_tell_the_covariance(graph, truth, config):
+@pytest.fixture(scope="module")
+def params(room, config):
+    return slam.init(room.camera, config).params
+
+
+def test_the_cycles_tell_the_covariance(graph, params, truth, config):
     """All its directions, to a third of their deviations, from three times as many edges as keyframes."""
-    noise = edge_noise(graph, config.graph)
+    noise = edge_noise(params, graph, config.graph)
     assert noise.redundancy == pytest.approx(len(graph.edges) / (COUNT - 1))
     root = np.linalg.inv(np.linalg.cholesky(truth))
     ratios = np.sqrt(np.linalg.eigvalsh(root @ noise.covariance @ root.T))
     assert 0.67 < ratios.min() < ratios.max() < 1.33
 
 
-def test_wrong_edges_tell_little(graph, config, rng):
+def test_wrong_edges_tell_little(graph, params, config, rng):
     """Four edges in a hundred and fifty are off by half a metre."""
     off = se3.exp(jnp.asarray([0.5, 0, 0, 0, 0, 0.2]))
     edges = list(graph.edges)
@@ -67,19 +72,59 @@ def test_wrong_edges_tell_little(graph, config, rng):
         motion = se3.compose(jaxlie.SE3(jnp.asarray(edges[number].surface_motion)), off)
         edges[number] = replace(edges[number], surface_motion=np.asarray(motion.wxyz_xyz))
     before, after = (
-        np.sqrt(np.diag(edge_noise(replace(graph, edges=tuple(e)), config.graph).covariance))
+        np.sqrt(np.diag(edge_noise(params, replace(graph, edges=tuple(e)), config.graph).covariance))
         for e in (graph.edges, edges)
     )
     assert (after < 2 * before).all()
 
 
-def test_without_cycles_the_settings_hold(graph, config):
+def test_without_cycles_the_settings_hold(graph, params, config):
     chain = replace(graph, edges=tuple(e for e in graph.edges if e.source - e.target == 1))
-    noise = edge_noise(chain, config.graph)
+    noise = edge_noise(params, chain, config.graph)
     assert noise.redundancy == 1
     np.testing.assert_array_equal(noise.covariance, prior_noise(config.graph).covariance)
     sigmas = np.repeat([config.graph.edge_sigma_metres, config.graph.edge_sigma_radians], 3)
     np.testing.assert_allclose(np.sqrt(np.diag(noise.covariance)), sigmas)
+
+
+def test_what_is_open_about_the_sensors_widens_all_edges(room, config, graph):
+    """A keyframe at rest, and one that turned by 0.5 rad/s while a delay was known to 4 ms; depth to 1 mm."""
+    tracking = replace(config.tracking, estimate_timing=True, estimate_depth=True)
+    state = slam.init(room.camera, replace(config, tracking=tracking))
+    turning = replace(state.tracker.last_motion, twist=jnp.asarray([0, 0, 0, 0, 0.5, 0]))
+    resting = Keyframe(
+        features=feature_shapes(state.params),
+        landmarks=np.full(4, -1),
+        frame=0,
+        reference=0,
+        T_reference_keyframe=graph.edges[0].T_target_source,
+        offsets=state.graph.offsets,
+        motion=state.tracker.last_motion,
+        edition=0,
+    )
+    edge = replace(
+        graph.edges[0], offsets=state.graph.offsets, sensitivity=np.zeros((6, len(state.graph.offsets)))
+    )
+    alone = replace(state.graph, keyframes=(resting, replace(resting, motion=turning)), edges=(edge,))
+    known = edge_noise(state.params, alone, config.graph).covariance
+    np.testing.assert_array_equal(known, prior_noise(config.graph).covariance)
+    late = replace(alone, times_covariance=np.diag([0.004**2, 0, 0]))
+    more = edge_noise(state.params, late, config.graph).covariance - known
+    np.testing.assert_allclose(np.diag(more), [0, 0, 0, 0, (0.5 * 0.004) ** 2, 0], atol=1e-12)
+    # The mean of the offsets moves the camera by a metre for each 1/m; by the prior they err on their own.
+    edge = replace(
+        edge, sensitivity=np.eye(6)[:, 2:3] / len(state.graph.offsets) * np.ones(len(state.graph.offsets))
+    )
+    bent = replace(alone, edges=(edge,))
+    told = 1e6 * np.eye(len(state.graph.offsets))
+    wide, narrow = (
+        edge_noise(state.params, g, config.graph).covariance[2, 2] - known[2, 2]
+        for g in (bent, replace(bent, depth=replace(bent.depth, information=told)))
+    )
+    np.testing.assert_allclose(
+        np.sqrt(wide), state.config.tracking.depth_sigma / np.sqrt(len(state.graph.offsets)), rtol=0.01
+    )
+    assert narrow < 0.05 * wide
 
 
 def test_an_edge_adds_its_share(truth):

@@ -1,5 +1,7 @@
 """Tracking of a frame: one pure function from images to a pose, compiled once per image size."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -220,6 +222,7 @@ def _sweep(params: TrackerParams, tracker: Tracker, T_target_before: jaxlie.SE3)
     return gicp.Sweep(T_target_before, seconds, estimated_timing(params, tracker)[0])
 
 
+@partial(jax.jit, inline=True)
 def estimated_timing(params: TrackerParams, tracker: Tracker) -> tuple[SensorTiming, Float[Array, "3 3"]]:
     """Times of the camera's rows as the frames so far show them, and their covariance in s².
 

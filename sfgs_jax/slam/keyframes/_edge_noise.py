@@ -4,6 +4,9 @@ GICP's information says how well a registration's points fix its motion if their
 are not: the distortion of depth, its quantisation and the facets of a surface pull all points of an image
 alike. Registrations around three keyframes should lead back to the start. By how much they miss it tells
 what the information leaves out, with this camera and at this place.
+
+Cycles do not show what all edges have in common: depth and times of the rows that are known only so well. The
+covariances of these estimates tell that part.
 """
 
 from collections.abc import Sequence
@@ -13,8 +16,10 @@ from jaxtyping import Float
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.keyframes._depth_estimate import prior_of
 from sfgs_jax.slam.keyframes._edges import motions_of
 from sfgs_jax.slam.state._keyframe_graph import Edge, EdgeNoise, KeyframeGraph
+from sfgs_jax.slam.state._tracker import TrackerParams
 
 _NEWEST = 256
 """Edges that are looked at: those of some thirty keyframes."""
@@ -36,13 +41,14 @@ def prior_noise(config: GraphConfig) -> EdgeNoise:
     return EdgeNoise(np.diag(np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3) ** 2), 1.0)
 
 
-def edge_noise(graph: KeyframeGraph, config: GraphConfig) -> EdgeNoise:
-    """Noise of a graph's edges by its newest cycles; where there are few, by the settings.
+def edge_noise(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> EdgeNoise:
+    """Noise of a graph's edges by its newest cycles, or the settings, and by what the sensors leave open.
 
     The covariance is the most likely one if the cycles' errors have a Student distribution, with an inverse
     Wishart prior around the settings'.
 
     Args:
+        params: parameters of tracking.
         graph: with its edges.
         config: settings.
     """
@@ -58,7 +64,34 @@ def edge_noise(graph: KeyframeGraph, config: GraphConfig) -> EdgeNoise:
         weight = (_TAIL + 6) / (_TAIL + surprise)
         seen = np.einsum("n,ni,nj->ij", weight, errors, errors) / (3 * len(errors))
         covariance = (_PRIOR_CYCLES * prior + independent * seen) / (_PRIOR_CYCLES + independent)
+    covariance = covariance + _by_sensors(params, graph, newest)
     return EdgeNoise(covariance, max(1.0, len(steady) / max(1, _edges_of_a_tree(steady))))
+
+
+def _by_sensors(
+    params: TrackerParams, graph: KeyframeGraph, edges: Sequence[Edge]
+) -> Float[np.ndarray, "6 6"]:
+    """Mean covariance of edges by what is not known yet about the camera's depth and times."""
+    if not edges:
+        return np.zeros((6, 6))
+    total, times = np.zeros((6, 6)), graph.times_covariance
+    if times.any():
+        moved = _by_times(graph, edges)
+        # A delay moves all rows, a read-out the first and the last of them in opposite directions.
+        total += (times[0, 0] + (times[1, 1] + times[2, 2]) / 12) * moved.T @ moved
+    if len(graph.offsets):
+        unknown = graph.depth.covariance(prior_of(params.config))
+        for edge in edges:
+            total += edge.sensitivity @ unknown @ edge.sensitivity.T
+    return total / len(edges)
+
+
+def _by_times(graph: KeyframeGraph, edges: Sequence[Edge]) -> Float[np.ndarray, "n 6"]:
+    """Derivatives of edges' tangents by a time that both their keyframes are off by, 1/s."""
+    twists = np.asarray([keyframe.motion.twist for keyframe in graph.keyframes], np.float64)
+    targets, sources = np.asarray([(edge.target, edge.source) for edge in edges]).T
+    back = np.linalg.inv(se3.matrices_of(np.stack([edge.T_target_source for edge in edges])))
+    return twists[sources] - np.einsum("nij,nj->ni", se3.adjoints_of(back), twists[targets])
 
 
 def _edges_of_a_tree(edges: Sequence[Edge]) -> int:

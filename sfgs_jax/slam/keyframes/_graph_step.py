@@ -57,7 +57,7 @@ def advance_graph(
         closed |= closed_now
     if closed or (not graph.pending and (waited or grown)):
         graph = with_new_offsets(params, graph)
-        graph = _optimised(params, replace(graph, noise=edge_noise(graph, config)), config)
+        graph = _optimised(params, replace(graph, noise=edge_noise(params, graph, config)), config)
     return graph, closed
 
 

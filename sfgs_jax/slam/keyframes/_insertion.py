@@ -9,7 +9,7 @@ import numpy as np
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import RowMotion
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend import TrackInfo, features_in_use, offsets_in_use
+from sfgs_jax.slam.frontend import TrackInfo, estimated_timing, features_in_use, offsets_in_use
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
@@ -54,8 +54,11 @@ def with_new_keyframes(
     if taken:
         new, reference = _reference(after, 0, frames[1]), int(found.reference)
         graph = insert_keyframe(params, graph, new, found.registration, reference, config)
-    if (taken or bridged) and bool(after.last_motion.known):
-        graph = rectified_anew(params, graph, after.last_motion.timing)
+    if (taken or bridged) and params.config.estimate_timing:
+        _, covariance = estimated_timing(params, after)
+        graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))
+        if bool(after.last_motion.known):
+            graph = rectified_anew(params, graph, after.last_motion.timing)
     return graph
 
 
@@ -77,7 +80,7 @@ def _reference(tracker: Tracker, back: int, frame: int) -> Reference:
     """The tracker's current reference, or one that it had before."""
     slot = tracker.current - np.int32(back)
     number = int(slot) % len(tracker.reference_keyframes)
-    motion = jax.tree.map(lambda ring: np.asarray(ring)[number], tracker.reference_motions)
+    motion = jax.tree.map(lambda ring: jax.device_put(np.asarray(ring)[number]), tracker.reference_motions)
     return Reference(reference_at(tracker, slot), motion, frame)
 
 

@@ -224,8 +224,9 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     sensitivity = np.zeros((6, len(offsets)))
     edge = Edge(0, 0, motion, matrix, motion, matrix, False, False, offsets, sensitivity)
     shapes = feature_shapes(state.params)
-    still = jax.tree.map(np.asarray, state.tracker.last_motion)
-    keyframe = _bare_keyframe(Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, still, 0))
+    keyframe = _bare_keyframe(
+        Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, state.tracker.last_motion, 0)
+    )
     view = _bare_view(View(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32), 0, se3.identity(), 0))
     graph = replace(
         state.graph,

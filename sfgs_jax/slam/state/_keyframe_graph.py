@@ -159,6 +159,8 @@ class KeyframeGraph:
         adjustment: one that has been started and whose results have not been taken, if there is one.
         depth: what the registrations said about the distortion of depth.
         offsets: (G,) of the depth correction that the poses are for, 1/m.
+        times_covariance: (3, 3) of the times of the rows as known at the newest keyframe, s²; zeros where
+            they are not estimated.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -173,6 +175,7 @@ class KeyframeGraph:
     adjustment: Adjustment | None
     depth: DepthInformation
     offsets: Float[np.ndarray, " G"]
+    times_covariance: Float[np.ndarray, "3 3"]
 
     @property
     def loops(self) -> tuple[Edge, ...]:
@@ -208,4 +211,5 @@ def empty_graph(offsets: Float[np.ndarray, " G"], noise: EdgeNoise) -> KeyframeG
         adjustment=None,
         depth=no_depth_information(offsets),
         offsets=offsets,
+        times_covariance=np.zeros((3, 3)),
     )
