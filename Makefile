@@ -9,7 +9,7 @@ PYTEST_WORKERS ?= 2
 # Tests run each of their many programs a few times: programs that compile fast suit them better than fast ones.
 TEST_XLA_FLAGS ?= --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 # These are about the compiler itself, or compare float64 to its last digits, some of which those flags cost.
-EXACT_TESTS := tests/test_jaxlib_hazard.py tests/splatting/test_rendering.py tests/splatting/test_hard_scenes.py
+EXACT_TESTS := tests/test_jaxlib_hazard.py
 
 .PHONY: demo test lint types imports docs bench clean
 

@@ -1,5 +1,6 @@
 """Every test runs with shapes and types checked, strict promotion, and warnings as errors."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -13,6 +14,10 @@ import pytest  # noqa: E402
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Tracing makes millions of objects that live long: looking for cycles among them at Python's default rate takes
+# a third of its time.
+gc.set_threshold(100_000, 20, 100)
 
 
 _MANY_MAPS = 15_000

@@ -53,11 +53,17 @@ def running_mean(network: Network, level: int) -> np.ndarray:
     return np.asarray(layer.mean)
 
 
-def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monkeypatch):
-    def config(name: str) -> TrainingConfig:
-        return short_run(tmp_path / name, sfgs_data)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, sfgs_data):
+    """Settings of a run that went on to its end."""
+    config = short_run(tmp_path_factory.mktemp("runs") / "whole", sfgs_data)
+    with jax.numpy_dtype_promotion("standard"):
+        train(config)
+    return config
 
-    train(config("whole"))
+
+def test_a_killed_run_goes_on_as_if_it_had_not_stopped(whole, tmp_path, monkeypatch):
+    config = replace(whole, out=tmp_path / "killed")
 
     save = train_superfeats.save_checkpoint
 
@@ -68,24 +74,22 @@ def test_a_killed_run_goes_on_as_if_it_had_not_stopped(tmp_path, sfgs_data, monk
     with monkeypatch.context() as killed:
         killed.setattr(train_superfeats, "save_checkpoint", save_and_stop)
         with pytest.raises(KeyboardInterrupt):
-            train(config("killed"))
-    train(config("killed"))
+            train(config)
+    train(config)
 
-    whole, resumed = (tmp_path / name / "weights.safetensors" for name in ("whole", "killed"))
-    assert whole.read_bytes() == resumed.read_bytes()
-    first, second = (_figures(tmp_path / name) for name in ("whole", "killed"))
+    expected, resumed = (run.out / "weights.safetensors" for run in (whole, config))
+    assert expected.read_bytes() == resumed.read_bytes()
+    first, second = (_figures(run.out) for run in (whole, config))
     assert [entry["step"] for entry in second] == [2, 4]
     for a, b in zip(first, second, strict=True):
         assert a["training"] == b["training"]
         assert np.isfinite(list(a["validation"].values())).all()
-    assert (tmp_path / "killed" / "curves.png").stat().st_size > 1000
+    assert (config.out / "curves.png").stat().st_size > 1000
 
 
-def test_a_run_can_go_on_with_anothers_description_branch(tmp_path, sfgs_data):
-    first = short_run(tmp_path / "first", sfgs_data)
-    train(first)
+def test_a_run_can_go_on_with_anothers_description_branch(whole, tmp_path):
     second = replace(
-        first, out=tmp_path / "second", seed=1, description_from=tmp_path / "first" / "checkpoint.eqx"
+        whole, out=tmp_path / "second", seed=1, description_from=whole.out / "checkpoint.eqx"
     )
     trained, begun, anew = (
         first_network(config)

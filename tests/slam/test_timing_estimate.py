@@ -29,11 +29,9 @@ def frames(recording):
 
 
 @pytest.fixture(scope="module")
-def tracking():
-    features = slam.FeaturesConfig(max_keypoints=256, max_rigid_matches=128)
-    gicp = slam.TrackingConfig().gicp
-    gicp = replace(gicp, levels=1, strides=(1,))
-    return slam.TrackingConfig(features=features, gicp=gicp)
+def tracking(config):
+    """The settings of `test_depth_estimate`, whose frames are of the same size: one program serves both."""
+    return replace(config.tracking, keyframe_translation=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -64,8 +64,9 @@ def made_up_batch(rng: np.random.Generator) -> Batch:
     )
 
 
-def run(batch: Batch, steps: int, weights: LossWeights):
+def run(batch: Batch, steps: int, weights: LossWeights, sharding: jax.sharding.Sharding | None = None):
     state = initial_state(initialise_network(jax.random.key(0), SMALL), OPTIMISER)
+    state = jax.device_put(state, sharding)
     history = []
     for _ in range(steps):
         state, figures = train_step(state, batch, optimiser=OPTIMISER, weights=weights)
@@ -128,7 +129,9 @@ mesh = jax.make_mesh((4,), ("data",), axis_types=(AxisType.Auto,))
 batch = jax.device_put(
     made_up_batch(np.random.default_rng(0)), NamedSharding(mesh, PartitionSpec("data"))
 )
-print(*(entry["loss"] for entry in run(batch, 3, LossWeights())[1]))
+# The state is on all devices from the first step on, as it is after it: one program does for all steps.
+history = run(batch, 3, LossWeights(), NamedSharding(mesh, PartitionSpec()))[1]
+print(*(entry["loss"] for entry in history))
 """
 
 
