@@ -39,8 +39,8 @@ def covariances_in_world(
 ) -> Float[np.ndarray, "w 6 6"]:
     """Covariances of keyframes after an adjustment.
 
-    What is known about the anchor bounds what is known about the others. Where some were known better before,
-    by keyframes that took no part, they keep that.
+    No keyframe is known better than the anchor is. A keyframe keeps its former covariance if that is smaller:
+    then keyframes that took no part had told more.
 
     Args:
         found: as if the anchor were known.

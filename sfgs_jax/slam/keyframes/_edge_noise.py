@@ -2,8 +2,8 @@
 
 GICP's information says how well a registration's points fix its motion if their errors are independent. They
 are not: the distortion of depth, its quantisation and the facets of a surface pull all points of an image
-alike. Registrations around three keyframes should lead back to the start. By how much they miss it tells
-what the information leaves out, with this camera and at this place.
+alike. Registrations around three keyframes should lead back to the start. What they miss it by is what the
+information leaves out, with this camera and at this place.
 
 Cycles do not show what all edges have in common: depth and times of the rows that are known only so well. The
 covariances of these estimates tell that part.
@@ -54,7 +54,7 @@ def edge_noise(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig)
     """
     steady = [edge for edge in graph.edges if not edge.loop]
     newest = steady[-_NEWEST:]
-    # As many edges as a tree has close no cycle.
+    # A tree of edges closes no cycle; each edge beyond it closes one.
     independent = len(newest) - _edges_of_a_tree(newest)
     errors, prior = _around(newest, graph.offsets), prior_noise(config).covariance
     covariance = prior

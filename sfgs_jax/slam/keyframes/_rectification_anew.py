@@ -1,7 +1,7 @@
 """Keyframes after the estimate of the times of the rows has changed: rectified and registered anew.
 
-The first keyframes are taken before the times are known. Where the camera turns, their rows are then off by
-more than all later registrations err.
+The first keyframes are taken before the times are known. If the camera turns, their rows are off by more than
+all later registrations err.
 """
 
 from dataclasses import replace
@@ -37,10 +37,9 @@ def with_first_motion(graph: KeyframeGraph, moving: RowMotion) -> KeyframeGraph:
 
 
 def rectified_anew(params: TrackerParams, graph: KeyframeGraph, timing: SensorTiming) -> KeyframeGraph:
-    """The graph whose keyframes are all rectified by the times as they are known now.
+    """The graph with its keyframes rectified by the times as they are known now.
 
-    Those whose rows moved by more than edges err wait to be registered anew; until then the edges they have
-    hold.
+    A keyframe whose rows move by more than edges err is registered anew. Until then its edges hold.
 
     Args:
         params: parameters of tracking.

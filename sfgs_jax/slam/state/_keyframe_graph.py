@@ -71,7 +71,7 @@ class Edge:
 @pytree
 @dataclass(frozen=True, eq=False)
 class EdgeNoise:
-    """What edges err by beyond their information, and how often they say the same.
+    """Error of edges beyond their information, and how often they say the same.
 
     Attributes:
         covariance: (6, 6) of an edge's tangent, by errors that all its residuals have in common.
