@@ -73,6 +73,10 @@ def test_files_that_cannot_be_used_are_refused(tmp_path):
         with pytest.raises(InputError, match="Cannot read"):
             load_ply(path)
 
+    path.write_bytes(whole.replace(b"element vertex ", b"element vertex 9999999999", 1))
+    with pytest.raises(InputError, match="rows and has"):
+        load_ply(path)
+
     points = np.zeros(3, [("x", "f4"), ("y", "f4"), ("z", "f4")])
     PlyData([PlyElement.describe(points, "vertex")]).write(str(path))
     with pytest.raises(InputError, match="not a Gaussian splatting file"):

@@ -1,0 +1,7 @@
+"""Files of maps: PLY, point clouds and the formats of viewers."""
+
+from sfgs_jax.splatting.files._map_file import map_file as map_file
+from sfgs_jax.splatting.files._ply import load_ply as load_ply
+from sfgs_jax.splatting.files._ply import save_ply as save_ply
+from sfgs_jax.splatting.files._points import save_points as save_points
+from sfgs_jax.splatting.files._splat import save_splat as save_splat
