@@ -11,12 +11,12 @@ import tyro
 from scipy.special import logit
 
 from sfgs_jax.arrays import InputError, check_range
-from sfgs_jax.splatting import Gaussians, load_ply, map_file, save_ply, save_points
+from sfgs_jax.splatting import Gaussians, load_ply, map_file, save_ply, save_points, save_splat
 
-Format = Literal["ply"]
+Format = Literal["ply", "splat"]
 """Formats by the suffix of their files."""
 
-_WRITERS: Mapping[Format, Callable[[Path, Gaussians], None]] = {"ply": save_ply}
+_WRITERS: Mapping[Format, Callable[[Path, Gaussians], None]] = {"ply": save_ply, "splat": save_splat}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -43,6 +43,7 @@ def test_a_map_file_becomes_a_point_cloud_of_its_opaque_gaussians(run_folder, tm
     kept = opacities(load_ply(source)) >= 0.5
     assert 0 < np.sum(kept) < len(kept)
     cloud = trimesh.load(out, file_type="ply")
+    assert isinstance(cloud, trimesh.PointCloud)
     np.testing.assert_array_equal(cloud.vertices, np.asarray(load_ply(source).means)[kept])
 
 
@@ -55,8 +56,9 @@ def test_the_format_can_be_named_and_a_file_replaced(run_folder, tmp_path):
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["room.bin"]
 
 
-def test_nothing_is_compiled(run_folder, tmp_path, compilations):
-    assert main(["export", str(run_folder), str(tmp_path / "room.ply"), "--min-opacity", "0.1"]) == 0
+@pytest.mark.parametrize("suffix", ["ply", "splat"])
+def test_nothing_is_compiled(run_folder, tmp_path, compilations, suffix):
+    assert main(["export", str(run_folder), str(tmp_path / f"room.{suffix}"), "--min-opacity", "0.1"]) == 0
     assert not compilations
 
 
@@ -68,6 +70,7 @@ def test_nothing_is_compiled(run_folder, tmp_path, compilations):
         (["run/notes.txt", "room.ply"], "Cannot read run/notes.txt as a PLY file"),
         (["run", "room.obj"], "names no format: use .ply"),
         (["run", "room"], "names no format"),
+        (["run", "room.splat", "--points"], "written as .ply, not as .splat"),
         (["run", "missing/room.ply"], "There is no folder missing"),
         (["run", "empty_folder/../run/notes.txt", "--format", "ply"], "exists: give another name"),
         (["run", "empty_folder", "--format", "ply"], "is a folder"),

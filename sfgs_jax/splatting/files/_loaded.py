@@ -1,10 +1,11 @@
-"""Gaussians from the values of a file, refused if they are damaged."""
+"""Gaussians from the values of a file, refused if they are damaged; opacities from bytes."""
 
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
+from scipy.special import logit
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.splatting._gaussians import Gaussians
@@ -38,3 +39,12 @@ def loaded(
         raise InputError(f"{path}: a quaternion is zero; the file is damaged.")
     arrays = {name: jnp.asarray(value.astype(np.float32)) for name, value in values.items()}
     return Gaussians(**arrays, valid=jnp.asarray(np.ones(len(means), bool)))
+
+
+def logits_of_bytes(opacities: UInt8[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Logits of opacities that a file rounds to 255 steps.
+
+    The bytes 0 and 255 stand for opacities within half a step of 0 and 1. The middle of that half step is
+    taken, so that the logit is finite.
+    """
+    return logit(np.clip(opacities / 255, 0.25 / 255, 254.75 / 255))

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit, log_expit
 
-from sfgs_jax.arrays import write_atomically
+from sfgs_jax.arrays import InputError, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
-from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb
+from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh, sh_to_rgb
+from sfgs_jax.splatting.files._loaded import loaded, logits_of_bytes
 
 _RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 """32 bytes a Gaussian, no header: metres, metres, [0, 255], and a quaternion wxyz as 128 + 128 q."""
@@ -39,3 +40,34 @@ def save_splat(path: Path | str, gaussians: Gaussians) -> None:
     records["rotation"] = np.clip(np.round(128 + 128 * values["quaternions"]), 0, 255)
     visibility = log_expit(logits) + np.sum(values["log_scales"], axis=1)
     write_atomically(path, records[np.argsort(-visibility, kind="stable")].tobytes())
+
+
+def load_splat(path: Path | str) -> Gaussians:
+    """Read a `.splat` file; every Gaussian in it is valid, with harmonics of degree 0.
+
+    Raises:
+        InputError: the file can't be read, is cut off or empty, or has a value that is not finite.
+
+    Source: as for `save_splat`.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"Cannot read {path} as a .splat file: {error}.") from error
+    if not content or len(content) % _RECORD.itemsize:
+        raise InputError(
+            f"{path} is no .splat file, or cut off: it has {len(content)} bytes, and a Gaussian has "
+            f"{_RECORD.itemsize}."
+        )
+    records = np.frombuffer(content, _RECORD)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_scales = np.log(records["scale"])
+    return loaded(
+        path,
+        means=records["position"],
+        quaternions=records["rotation"].astype(np.float32) / 128 - 1,
+        log_scales=log_scales,
+        opacity_logits=logits_of_bytes(records["rgba"][:, 3]),
+        sh=rgb_to_sh(records["rgba"][:, None, :3].astype(np.float32) / 255),
+    )
