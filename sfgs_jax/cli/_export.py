@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,12 +12,16 @@ import tyro
 from scipy.special import logit
 
 from sfgs_jax.arrays import InputError, check_range
-from sfgs_jax.splatting import Gaussians, load_ply, map_file, save_ply, save_points, save_splat
+from sfgs_jax.splatting import Gaussians, load_ply, map_file, save_ply, save_points, save_splat, save_spz
 
-Format = Literal["ply", "splat"]
+Format = Literal["ply", "splat", "spz"]
 """Formats by the suffix of their files."""
 
-_WRITERS: Mapping[Format, Callable[[Path, Gaussians], None]] = {"ply": save_ply, "splat": save_splat}
+_WRITERS: Mapping[Format, Callable[[Path, Gaussians], None]] = {
+    "ply": save_ply,
+    "splat": save_splat,
+    "spz": save_spz,
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +38,8 @@ class ExportArguments:
     """Write the centres of the Gaussians as a coloured point cloud, for programs that know no splats."""
     min_opacity: float = 0.0
     """Gaussians with a lower opacity are left out, from 0 to 1."""
+    spz_version: Literal[3, 4] | None = None
+    """Version of an SPZ file. None writes version 3; version 4 needs zstd."""
     overwrite: bool = False
     """Replace OUT if it exists."""
 
@@ -70,6 +77,10 @@ def _writer(options: ExportArguments) -> Callable[[Path, Gaussians], None]:
     if write is None:
         suffixes = ", ".join(f".{known}" for known in _WRITERS)
         raise InputError(f"The suffix of {options.out} names no format: use {suffixes}, or pass --format.")
+    if options.spz_version is not None:
+        if name != "spz":
+            raise InputError(f"--spz-version is for SPZ files, not for .{name}.")
+        return partial(save_spz, version=options.spz_version)
     if options.points:
         if name != "ply":
             raise InputError(f"A point cloud is written as .ply, not as .{name}.")

@@ -21,7 +21,9 @@ from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh as rgb_to_sh
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb as sh_to_rgb
 from sfgs_jax.splatting.files import load_ply as load_ply
 from sfgs_jax.splatting.files import load_splat as load_splat
+from sfgs_jax.splatting.files import load_spz as load_spz
 from sfgs_jax.splatting.files import map_file as map_file
 from sfgs_jax.splatting.files import save_ply as save_ply
 from sfgs_jax.splatting.files import save_points as save_points
 from sfgs_jax.splatting.files import save_splat as save_splat
+from sfgs_jax.splatting.files import save_spz as save_spz

@@ -10,7 +10,7 @@ import trimesh
 from scipy.special import expit
 
 from sfgs_jax.cli import main
-from sfgs_jax.splatting import Gaussians, load_ply, save_ply
+from sfgs_jax.splatting import Gaussians, load_ply, load_spz, save_ply
 from tests.splatting.scenes import make_scene
 
 
@@ -56,7 +56,16 @@ def test_the_format_can_be_named_and_a_file_replaced(run_folder, tmp_path):
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["room.bin"]
 
 
-@pytest.mark.parametrize("suffix", ["ply", "splat"])
+def test_the_version_of_an_spz_file_is_chosen(run_folder, tmp_path):
+    plain, newer = tmp_path / "room.spz", tmp_path / "newer.spz"
+    assert main(["export", str(run_folder), str(plain)]) == 0
+    assert main(["export", str(run_folder), str(newer), "--spz-version", "4"]) == 0
+    assert plain.read_bytes()[:2] == b"\x1f\x8b"
+    assert newer.read_bytes()[:4] == b"NGSP"
+    np.testing.assert_array_equal(load_spz(plain).means, load_spz(newer).means)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "splat", "spz"])
 def test_nothing_is_compiled(run_folder, tmp_path, compilations, suffix):
     assert main(["export", str(run_folder), str(tmp_path / f"room.{suffix}"), "--min-opacity", "0.1"]) == 0
     assert not compilations
@@ -71,6 +80,8 @@ def test_nothing_is_compiled(run_folder, tmp_path, compilations, suffix):
         (["run", "room.obj"], "names no format: use .ply"),
         (["run", "room"], "names no format"),
         (["run", "room.splat", "--points"], "written as .ply, not as .splat"),
+        (["run", "room.ply", "--spz-version", "4"], "is for SPZ files, not for .ply"),
+        (["run", "room.spz", "--points"], "written as .ply, not as .spz"),
         (["run", "missing/room.ply"], "There is no folder missing"),
         (["run", "empty_folder/../run/notes.txt", "--format", "ply"], "exists: give another name"),
         (["run", "empty_folder", "--format", "ply"], "is a folder"),

@@ -6,3 +6,5 @@ from sfgs_jax.splatting.files._ply import save_ply as save_ply
 from sfgs_jax.splatting.files._points import save_points as save_points
 from sfgs_jax.splatting.files._splat import load_splat as load_splat
 from sfgs_jax.splatting.files._splat import save_splat as save_splat
+from sfgs_jax.splatting.files._spz import load_spz as load_spz
+from sfgs_jax.splatting.files._spz import save_spz as save_spz
