@@ -12,15 +12,25 @@ import tyro
 from scipy.special import logit
 
 from sfgs_jax.arrays import InputError, check_range
-from sfgs_jax.splatting import Gaussians, load_ply, map_file, save_ply, save_points, save_splat, save_spz
+from sfgs_jax.splatting import (
+    Gaussians,
+    load_ply,
+    map_file,
+    save_gltf,
+    save_ply,
+    save_points,
+    save_splat,
+    save_spz,
+)
 
-Format = Literal["ply", "splat", "spz"]
+Format = Literal["ply", "splat", "spz", "glb"]
 """Formats by the suffix of their files."""
 
 _WRITERS: Mapping[Format, Callable[[Path, Gaussians], None]] = {
     "ply": save_ply,
     "splat": save_splat,
     "spz": save_spz,
+    "glb": save_gltf,
 }
 
 

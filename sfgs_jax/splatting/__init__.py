@@ -23,6 +23,7 @@ from sfgs_jax.splatting.files import load_ply as load_ply
 from sfgs_jax.splatting.files import load_splat as load_splat
 from sfgs_jax.splatting.files import load_spz as load_spz
 from sfgs_jax.splatting.files import map_file as map_file
+from sfgs_jax.splatting.files import save_gltf as save_gltf
 from sfgs_jax.splatting.files import save_ply as save_ply
 from sfgs_jax.splatting.files import save_points as save_points
 from sfgs_jax.splatting.files import save_splat as save_splat

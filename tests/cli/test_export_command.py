@@ -65,7 +65,7 @@ def test_the_version_of_an_spz_file_is_chosen(run_folder, tmp_path):
     np.testing.assert_array_equal(load_spz(plain).means, load_spz(newer).means)
 
 
-@pytest.mark.parametrize("suffix", ["ply", "splat", "spz"])
+@pytest.mark.parametrize("suffix", ["ply", "splat", "spz", "glb"])
 def test_nothing_is_compiled(run_folder, tmp_path, compilations, suffix):
     assert main(["export", str(run_folder), str(tmp_path / f"room.{suffix}"), "--min-opacity", "0.1"]) == 0
     assert not compilations

@@ -1,5 +1,6 @@
 """Files of maps: PLY, point clouds and the formats of viewers."""
 
+from sfgs_jax.splatting.files._gltf import save_gltf as save_gltf
 from sfgs_jax.splatting.files._map_file import map_file as map_file
 from sfgs_jax.splatting.files._ply import load_ply as load_ply
 from sfgs_jax.splatting.files._ply import save_ply as save_ply

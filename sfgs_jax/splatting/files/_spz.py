@@ -1,4 +1,4 @@
-"""SPZ files: a tenth of a PLY file, quantised and compressed."""
+"""SPZ files: quantised and compressed, for transport."""
 
 from pathlib import Path
 
