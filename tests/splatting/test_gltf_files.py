@@ -43,10 +43,10 @@ def attributes_of(path: Path) -> dict[str, np.ndarray]:
         accessor = description["accessors"][index]
         view = description["bufferViews"][accessor["bufferView"]]
         width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-        kind = {5126: np.dtype("<f4"), 5121: np.dtype("u1")}[accessor["componentType"]]
+        assert accessor["componentType"] == 5126
         assert view["byteOffset"] % 4 == 0
-        assert view["byteLength"] == accessor["count"] * width * kind.itemsize
-        values = np.frombuffer(data, kind, accessor["count"] * width, view["byteOffset"])
+        assert view["byteLength"] == accessor["count"] * width * 4
+        values = np.frombuffer(data, "<f4", accessor["count"] * width, view["byteOffset"])
         found[name] = values.reshape(-1, width)
     return found
 
@@ -101,10 +101,16 @@ def test_programs_without_the_extension_see_a_coloured_point_cloud(tmp_path):
     (cloud,) = loaded.geometry.values()
     assert isinstance(cloud, trimesh.PointCloud)
     np.testing.assert_allclose(cloud.vertices, np.asarray(scene.means)[valid] @ TURN)
+
+    colours = attributes_of(tmp_path / "map.glb")["COLOR_0"]
     rgb = np.clip(sh_to_rgb(np.asarray(scene.sh)[valid][:, 0]), 0, 1)
-    opacities = expit(np.asarray(scene.opacity_logits)[valid])
-    expected = 255 * np.concatenate([rgb, opacities[:, None]], axis=1)
-    np.testing.assert_allclose(np.asarray(cloud.colors), expected, atol=0.51)
+    bright = rgb > 0.0031308 * 12.92
+    srgb = 1.055 * np.maximum(colours[:, :3], 1e-9) ** (1 / 2.4) - 0.055
+    assert np.mean(bright) > 0.5
+    np.testing.assert_allclose(srgb[bright], rgb[bright], atol=1e-5)
+    np.testing.assert_allclose(12.92 * colours[:, :3][~bright], rgb[~bright], atol=1e-5)
+    np.testing.assert_allclose(colours[:, 3], expit(np.asarray(scene.opacity_logits)[valid]), atol=1e-5)
+    np.testing.assert_allclose(np.asarray(cloud.colors), 255 * colours, atol=1.01)
 
 
 def test_an_empty_map_is_refused(tmp_path):

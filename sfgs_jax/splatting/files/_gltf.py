@@ -15,7 +15,7 @@ from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb
 from sfgs_jax.splatting.files._axes import half_turned
 
 _EXTENSION = "KHR_gaussian_splatting"
-_POINTS, _ARRAY_BUFFER, _FLOAT, _UNSIGNED_BYTE = 0, 34962, 5126, 5121
+_POINTS, _ARRAY_BUFFER, _FLOAT = 0, 34962, 5126
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
@@ -23,7 +23,8 @@ def save_gltf(path: Path | str, gaussians: Gaussians) -> None:
     """Write the valid Gaussians as a binary glTF file, float32.
 
     The axes of the file are x right, y up, z backward; rotations and harmonics turn along. Programs without
-    the extension show a point cloud, whose colours are the means over all directions with the opacities.
+    the extension show a point cloud, whose colours are the means over all directions with the opacities, in
+    linear light.
 
     Args:
         path: the file, `.glb` by custom; one that exists is replaced.
@@ -66,34 +67,37 @@ def save_gltf(path: Path | str, gaussians: Gaussians) -> None:
 
 
 def _attributes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Attributes of the primitive by name, little-endian; each element has a multiple of four bytes."""
+    """Attributes of the primitive by name, float32, little-endian."""
     opacities, sh = expit(values["opacity_logits"]), values["sh"]
-    rgba = np.concatenate([sh_to_rgb(sh[:, 0]), opacities[:, None]], axis=1)
-    floats = {
+    rgb = _linear(np.clip(sh_to_rgb(sh[:, 0]), 0, 1))
+    attributes = {
         "POSITION": values["means"],
         f"{_EXTENSION}:ROTATION": np.roll(values["quaternions"], -1, axis=1),  # xyzw
         f"{_EXTENSION}:SCALE": np.exp(values["log_scales"]),
         f"{_EXTENSION}:OPACITY": opacities,
+        "COLOR_0": np.concatenate([rgb, opacities[:, None]], axis=1),
     }
     first = 0
     for degree in range(math.isqrt(sh.shape[1])):
         for order in range(2 * degree + 1):
-            floats[f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"] = sh[:, first + order]
+            attributes[f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"] = sh[:, first + order]
         first += 2 * degree + 1
-    attributes = {name: array.astype("<f4") for name, array in floats.items()}
-    return attributes | {"COLOR_0": np.clip(np.round(255 * rgba), 0, 255).astype(np.uint8)}
+    return {name: array.astype("<f4") for name, array in attributes.items()}
+
+
+def _linear(rgb: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB colours from 0 to 1, which is what glTF wants in `COLOR_0`."""
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
 def _accessor(array: np.ndarray, *, view: int, bounds: bool) -> dict[str, object]:
-    """Description of an attribute that fills a buffer view; bytes stand for numbers from 0 to 1."""
+    """Description of an attribute that fills a buffer view."""
     accessor: dict[str, object] = {
         "bufferView": view,
         "componentType": _FLOAT,
         "count": len(array),
         "type": _TYPES[array[0].size],
     }
-    if array.dtype == np.uint8:
-        accessor |= {"componentType": _UNSIGNED_BYTE, "normalized": True}
     if bounds:
         accessor |= {"min": np.min(array, axis=0).tolist(), "max": np.max(array, axis=0).tolist()}
     return accessor
