@@ -10,6 +10,8 @@ from sfgs_jax.cli._doctor import DoctorArguments as DoctorArguments
 from sfgs_jax.cli._doctor import doctor_command as doctor_command
 from sfgs_jax.cli._evaluate import EvalArguments as EvalArguments
 from sfgs_jax.cli._evaluate import eval_command as eval_command
+from sfgs_jax.cli._export import ExportArguments as ExportArguments
+from sfgs_jax.cli._export import export_command as export_command
 from sfgs_jax.cli._main import COMMANDS as COMMANDS
 from sfgs_jax.cli._main import Command as Command
 from sfgs_jax.cli._main import main as main

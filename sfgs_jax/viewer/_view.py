@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import viser
 
-from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Trajectory, read_tum
-from sfgs_jax.splatting import load_ply
+from sfgs_jax.splatting import load_ply, map_file
 from sfgs_jax.viewer._scene import MapScene
 from sfgs_jax.viewer._splats import splats_of
 
@@ -31,16 +30,10 @@ def view_run(path: Path | str, *, port: int = 8080, host: str = "127.0.0.1", blo
         InputError: there is no map, or a file is damaged.
     """
     path = Path(path)
-    folder = path.parent if path.is_file() else path
-    if not path.exists():
-        raise InputError(f"There is no {path}: give the folder that a run wrote, or a .ply file.")
-    ply = path if path.is_file() else folder / "map.ply"
-    if not ply.is_file():
-        raise InputError(f"{folder} holds no map.ply: give the folder that a run wrote, or a .ply file.")
-    splats = splats_of(load_ply(ply))
+    splats = splats_of(load_ply(map_file(path)))
     nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
     trajectory, keyframes = (
-        read_tum(folder / name) if path.is_dir() and (folder / name).is_file() else nothing
+        read_tum(path / name) if (path / name).is_file() else nothing
         for name in ("trajectory.txt", "keyframes.txt")
     )
     server = viser.ViserServer(host=host, port=port, label=f"sfgs-jax · {path.name}", verbose=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sfgs_jax.cli import ABLATIONS, COMMANDS, EvalArguments, RunOptions, ViewArguments
+from sfgs_jax.cli import ABLATIONS, COMMANDS, EvalArguments, ExportArguments, RunOptions, ViewArguments
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "command_line.md").read_text()
 
@@ -25,7 +25,7 @@ def section(title: str) -> str:
     return GUIDE.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
-@pytest.mark.parametrize("command", ["run", "eval", "view"])
+@pytest.mark.parametrize("command", ["run", "eval", "view", "export"])
 def test_every_option_it_names_exists(command, capsys):
     # A group of options is written --reader.*
     named = set(re.findall(r"(--[a-z][a-z.-]*[a-z])(?![a-z.-]*\.\*)", section(command)))
@@ -34,14 +34,15 @@ def test_every_option_it_names_exists(command, capsys):
 
 
 @pytest.mark.parametrize(
-    ("command", "kind"), [("run", RunOptions), ("eval", EvalArguments), ("view", ViewArguments)]
+    ("command", "kind"),
+    [("run", RunOptions), ("eval", EvalArguments), ("view", ViewArguments), ("export", ExportArguments)],
 )
 def test_no_option_is_left_out(command, kind):
     text = section(command)
     for field in dataclasses.fields(kind):
         name = field.name.replace("_", "-")
         shown = any(f"`--{form}`" in text for form in (name, f"no-{name}"))
-        assert shown or name in ("folder", "path", "slam", "reader"), name
+        assert shown or name in ("folder", "path", "source", "out", "slam", "reader"), name
 
 
 def test_every_command_shown_is_one():

@@ -10,9 +10,17 @@ from typing import Any
 
 import pytest
 
-from sfgs_jax.cli import COMMANDS, DoctorArguments, EvalArguments, RunOptions, ViewArguments
+from sfgs_jax.cli import COMMANDS, DoctorArguments, EvalArguments, ExportArguments, RunOptions, ViewArguments
 
-SETTINGS = {"run": RunOptions, "eval": EvalArguments, "view": ViewArguments, "doctor": DoctorArguments}
+SETTINGS = {
+    "run": RunOptions,
+    "eval": EvalArguments,
+    "view": ViewArguments,
+    "export": ExportArguments,
+    "doctor": DoctorArguments,
+}
+POSITIONAL = {"eval": {"folder"}, "view": {"path"}, "export": {"source", "out"}}
+"""Arguments without a name on the command line."""
 
 CONTINUES = re.compile(r"(and|or|nor|but|which|whose|who|what|of|where|those)\b", re.IGNORECASE)
 """Words with which no sentence begins."""
@@ -78,8 +86,7 @@ def test_every_option_is_shown_with_its_text(command, capsys):
     # The negation of a switch stands beside it: --graph.no-loops.
     flags = {flag for flag in flags if not re.search(r"(^|\.)no-", flag)}
     ours = {name.replace("_", "-") for own, name in OPTIONS if own == command}
-    positional = {"folder", "path"} & ours
-    assert flags == ours - positional
+    assert flags == ours - POSITIONAL.get(command, set())
     for (own, name), text in OPTIONS.items():
         if own == command:
             assert text in help_text, name

@@ -1,21 +1,16 @@
-"""Gaussian-splat files: PLY in the layout of 3D Gaussian Splatting, and `.splat` for web viewers."""
+"""PLY files in the layout of 3D Gaussian Splatting."""
 
 import io
+import re
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from sfgs_jax.arrays import InputError, write_atomically
-from sfgs_jax.splatting._gaussians import GAUSSIAN_PARAMETERS, Gaussians, valid_arrays
-from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb
-
-_SPLAT_RECORD = np.dtype(
-    [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)]
-)
-"""32 bytes a Gaussian, no header: metres, metres, [0, 255], and a quaternion wxyz as 128 + 128 q."""
+from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
+from sfgs_jax.splatting.files._loaded import loaded
 
 
 def save_ply(path: Path | str, gaussians: Gaussians) -> None:
@@ -80,45 +75,14 @@ def load_ply(path: Path | str) -> Gaussians:
 
     base = read("f_dc_0", "f_dc_1", "f_dc_2")
     higher = read(*(f"f_rest_{i}" for i in range(rest))).reshape(len(vertices), 3, coefficients - 1)
-    gaussians = Gaussians(
-        means=jnp.asarray(read("x", "y", "z")),
-        quaternions=jnp.asarray(read("rot_0", "rot_1", "rot_2", "rot_3")),
-        log_scales=jnp.asarray(read("scale_0", "scale_1", "scale_2")),
-        opacity_logits=jnp.asarray(read("opacity")[:, 0]),
-        sh=jnp.asarray(np.concatenate([base[:, None], higher.transpose(0, 2, 1)], axis=1)),
-        valid=jnp.ones(len(vertices), bool),
+    return loaded(
+        path,
+        means=read("x", "y", "z"),
+        quaternions=read("rot_0", "rot_1", "rot_2", "rot_3"),
+        log_scales=read("scale_0", "scale_1", "scale_2"),
+        opacity_logits=read("opacity")[:, 0],
+        sh=np.concatenate([base[:, None], higher.transpose(0, 2, 1)], axis=1),
     )
-    _require_usable(path, gaussians)
-    return gaussians
-
-
-def save_splat(path: Path | str, gaussians: Gaussians) -> None:
-    """Write the valid Gaussians as a `.splat` file, which viewers in browsers stream and read.
-
-    The most visible Gaussians come first, by opacity times volume, so that a viewer has something to show
-    early. The format has eight bits for colour, opacity and rotation, and harmonics of degree 0 alone. Keep a
-    map with `save_ply`, which loses nothing.
-
-    Args:
-        path: the file; one that exists is replaced.
-        gaussians: the map.
-
-    Raises:
-        OSError: the file can't be written; an older one is left untouched.
-
-    Source: the format of github.com/antimatter15/splat.
-    """
-    values = valid_arrays(gaussians)
-    scales = np.exp(values["log_scales"])
-    opacities = 1 / (1 + np.exp(-values["opacity_logits"].astype(np.float64)))
-    rgba = np.concatenate([sh_to_rgb(values["sh"][:, 0]), opacities[:, None]], axis=1)
-    records = np.zeros(len(scales), _SPLAT_RECORD)
-    records["position"] = values["means"]
-    records["scale"] = scales
-    records["rgba"] = np.clip(np.round(255 * rgba), 0, 255)
-    records["rotation"] = np.clip(np.round(128 + 128 * values["quaternions"]), 0, 255)
-    visibility = np.log(opacities) + np.sum(values["log_scales"], axis=1)
-    write_atomically(path, records[np.argsort(-visibility, kind="stable")].tobytes())
 
 
 def _ply_columns(coefficients: int) -> list[str]:
@@ -136,7 +100,9 @@ def _ply_columns(coefficients: int) -> list[str]:
 def _read_vertices(path: Path) -> np.ndarray:
     """The vertex element of a PLY file, as a structured array."""
     try:
-        elements = PlyData.read(io.BytesIO(path.read_bytes()))
+        content = path.read_bytes()
+        _require_rows(content)
+        elements = PlyData.read(io.BytesIO(content))
         names = {element.name for element in elements}
     except (OSError, PlyParseError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"Cannot read {path} as a PLY file: {error}.") from error
@@ -145,10 +111,9 @@ def _read_vertices(path: Path) -> np.ndarray:
     return elements["vertex"].data
 
 
-def _require_usable(path: Path, gaussians: Gaussians) -> None:
-    """Raise InputError if a value is not finite or a quaternion is zero."""
-    for name in GAUSSIAN_PARAMETERS:
-        if not np.all(np.isfinite(getattr(gaussians, name))):
-            raise InputError(f"{path}: {name} hold values that are not finite; the file is damaged.")
-    if not np.all(np.any(np.asarray(gaussians.quaternions) != 0, axis=1)):
-        raise InputError(f"{path}: a quaternion is zero; the file is damaged.")
+def _require_rows(content: bytes) -> None:
+    """Raise ValueError if a header promises more rows than there are bytes, before room is made for them."""
+    counts = re.findall(rb"^element \S+ (\d+)", content.partition(b"end_header")[0], re.MULTILINE)
+    rows = sum(map(int, counts))
+    if rows > len(content):
+        raise ValueError(f"it should have {rows} rows and has {len(content)} bytes")

@@ -1,0 +1,37 @@
+"""Coloured point clouds: the Gaussians' centres, for programs that know no splats."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyElement
+
+from sfgs_jax.arrays import write_atomically
+from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
+from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb
+
+_VERTEX = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+
+
+def save_points(path: Path | str, gaussians: Gaussians) -> None:
+    """Write the centres of the valid Gaussians as a binary PLY point cloud with RGB.
+
+    A point's colour is the mean of its Gaussian over all directions. The axes are the map's, in metres.
+
+    Args:
+        path: the file; one that exists is replaced.
+        gaussians: the map.
+
+    Raises:
+        OSError: the file can't be written; an older one is left untouched.
+    """
+    values = valid_arrays(gaussians)
+    rgb = np.clip(np.round(255 * sh_to_rgb(values["sh"][:, 0])), 0, 255)
+    vertices = np.zeros(len(rgb), _VERTEX)
+    for column, name in enumerate("xyz"):
+        vertices[name] = values["means"][:, column]
+    for column, name in enumerate(("red", "green", "blue")):
+        vertices[name] = rgb[:, column]
+    buffer = io.BytesIO()
+    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(buffer)
+    write_atomically(path, buffer.getvalue())
