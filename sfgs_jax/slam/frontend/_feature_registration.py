@@ -42,8 +42,8 @@ def motion_from_keypoints(
 
     The motion starts from the guess if that explains most of the matches. Otherwise a rigid motion that lays
     the matched points on each other is tried, by graduated non-convexity; it needs depth in both frames. Then
-    Gauss-Newton with a Geman-McClure kernel minimises the reprojection error of the target's points. The error
-    is of pixels and, where the source has depth, of inverse depth.
+    Gauss-Newton with a Geman-McClure kernel minimises the reprojection error of the target's points. That is
+    an error of pixels and, where the source has depth, of inverse depth.
 
     Args:
         source: keypoints of the frame to locate, whose depth may be missing.
