@@ -88,9 +88,7 @@ def test_a_killed_run_goes_on_as_if_it_had_not_stopped(whole, tmp_path, monkeypa
 
 
 def test_a_run_can_go_on_with_anothers_description_branch(whole, tmp_path):
-    second = replace(
-        whole, out=tmp_path / "second", seed=1, description_from=whole.out / "checkpoint.eqx"
-    )
+    second = replace(whole, out=tmp_path / "second", seed=1, description_from=whole.out / "checkpoint.eqx")
     trained, begun, anew = (
         first_network(config)
         for config in (replace(second, seed=0), second, replace(second, description_from=None))
