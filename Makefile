@@ -7,9 +7,8 @@ DEMO_SOURCE ?= synthetic
 DEMO_OUT ?= demo_out
 PYTEST_WORKERS ?= 2
 # Tests run each of their many programs a few times: programs that compile fast suit them better than fast ones.
+# Where a test is about XLA's defaults, or about the last digits of float64, it asks for them itself.
 TEST_XLA_FLAGS ?= --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
-# These are about the compiler itself, or compare float64 to its last digits, some of which those flags cost.
-EXACT_TESTS := tests/test_jaxlib_hazard.py
 
 .PHONY: demo test lint types imports docs bench clean
 
@@ -17,8 +16,7 @@ demo: $(VENV)/.installed
 	$(BIN)/sfgs-jax run $(DEMO_SOURCE) --out $(DEMO_OUT) --overwrite
 
 test: $(VENV)/.installed
-	XLA_FLAGS="$$XLA_FLAGS $(TEST_XLA_FLAGS)" $(BIN)/pytest -n $(PYTEST_WORKERS) $(EXACT_TESTS:%=--ignore=%)
-	$(BIN)/pytest -n $(PYTEST_WORKERS) $(EXACT_TESTS)
+	XLA_FLAGS="$$XLA_FLAGS $(TEST_XLA_FLAGS)" $(BIN)/pytest -n $(PYTEST_WORKERS)
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

@@ -15,7 +15,7 @@ import pytest  # noqa: E402
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# Tracing makes millions of objects that live long: looking for cycles among them at Python's default rate
+# Tracing makes millions of objects that live long. Looking for cycles among them at Python's default rate
 # takes a third of its time.
 gc.set_threshold(100_000, 20, 100)
 

@@ -31,7 +31,7 @@ def test_every_example_is_run_here():
 
 def test_00_the_fit_raises_psnr_of_a_view_it_has_not_seen():
     with jax.numpy_dtype_promotion("standard"):  # optax mixes integers and floats
-        found = main_of("00_render_and_fit")(width=96, height=72, steps=60)
+        found = main_of("00_render_and_fit")(width=64, height=48, steps=60)
     assert found["fitted_after"] > found["fitted_before"] + 12
     assert found["held_out_after"] > found["held_out_before"] + 8
 

@@ -7,6 +7,7 @@ this library.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,10 @@ EVEN = 40960
 """An affected size whose halves are not."""
 CAMERA = Camera(200.0, 200.0, 99.5, 74.5, width=200, height=150)
 T = se3.exp(jnp.asarray([0.3, -0.2, 0.1, 0.2, -0.1, 0.3]))
+DEFAULTS: dict[str, str | bool] = {"xla_backend_optimization_level": "3", "xla_cpu_use_fusion_emitters": True}
+"""XLA's defaults, in place of what `make test` sets: this is about programs as users compile them."""
+
+compiled = partial(jax.jit, compiler_options=DEFAULTS)
 
 
 def normal(rng, *shape: int) -> jax.Array:
@@ -37,8 +42,8 @@ def in_halves(function: Callable, rows: jax.Array) -> list[np.ndarray]:
 
 def assert_halves_agree(function: Callable, rows: jax.Array) -> None:
     """Rows computed together are those computed in two halves, to rounding."""
-    compiled = jax.jit(function)
-    for whole, halves in zip(jax.tree.leaves(compiled(rows)), in_halves(compiled, rows), strict=True):
+    program = compiled(function)
+    for whole, halves in zip(jax.tree.leaves(program(rows)), in_halves(program, rows), strict=True):
         assert len(whole) == EVEN
         np.testing.assert_allclose(whole, halves, rtol=1e-4, atol=1e-4)
 
@@ -46,7 +51,7 @@ def assert_halves_agree(function: Callable, rows: jax.Array) -> None:
 @pytest.mark.parametrize("n", SIZES)
 def test_squared_lengths_of_products_are_right(rng, n):
     M, rows = normal(rng, 3, 3), normal(rng, n, 3)
-    found = jax.jit(jax.vmap(lambda r: jnp.sum((M @ r) ** 2)))(rows)
+    found = compiled(jax.vmap(lambda r: jnp.sum((M @ r) ** 2)))(rows)
     expected = np.sum((np.asarray(rows, np.float64) @ np.asarray(M, np.float64).T) ** 2, axis=1)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
 
@@ -55,8 +60,8 @@ def test_squared_lengths_of_products_are_right(rng, n):
 def test_transformed_points_are_right(rng, n):
     points, matrix = normal(rng, n, 3), se3.to_matrices(jaxlie.SE3(T.wxyz_xyz[None]))[0]
     expected = np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-    np.testing.assert_allclose(jax.jit(se3.transform)(T, points), expected, atol=1e-5)
-    squares = jax.jit(jax.vmap(lambda p: jnp.sum(se3.transform(T, p) ** 2)))(points)
+    np.testing.assert_allclose(compiled(se3.transform)(T, points), expected, atol=1e-5)
+    squares = compiled(jax.vmap(lambda p: jnp.sum(se3.transform(T, p) ** 2)))(points)
     np.testing.assert_allclose(squares, np.sum(expected**2, axis=1), rtol=1e-4)
 
 
@@ -88,7 +93,7 @@ def test_residuals_of_observations_are_right(rng):
         return factor.residuals(values)[0].T
 
     pixels = normal(rng, EVEN, 2)
-    whole = jax.jit(residuals)(pixels)
+    whole = compiled(residuals)(pixels)
     points = se3.transform(se3.inverse(T), values.landmarks)
     np.testing.assert_allclose(whole, (CAMERA.project(points)[index] - pixels), rtol=1e-4, atol=1e-2)
 
@@ -126,7 +131,7 @@ def test_clouds_of_points_have_the_right_normals_and_align(rng):
     motion = se3.exp(jnp.asarray([0.002, -0.001, 0.001, 0.001, 0.002, -0.001]))
     moved = np.asarray(se3.transform(motion, jnp.asarray(points[order])))
     target = gicp.prepare_points(moved, k=9, config=config)
-    result = gicp.align(cloud, target, se3.identity(), config=gicp.GicpConfig(levels=1))
+    result = compiled(partial(gicp.align, config=gicp.GicpConfig(levels=1)))(cloud, target, se3.identity())
     metres, radians = se3.extent(se3.compose(se3.inverse(motion), result.T_target_source))
     assert metres < 2e-4
     assert radians < 2e-4

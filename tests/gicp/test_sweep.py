@@ -72,6 +72,7 @@ def test_the_pose_has_a_derivative_by_the_times(scene):
 
 def test_points_without_rows_have_no_sweep(scene):
     _, target, before, _ = scene
-    points = gicp.prepare_points(np.random.default_rng(0).uniform(-1, 1, (500, 3)).astype(np.float32))
+    rows = np.random.default_rng(0).uniform(-1, 1, (500, 3)).astype(np.float32)
+    points = gicp.prepare_points(rows, config=gicp.PointsConfig(levels=2, max_points=512, doublings=0))
     with pytest.raises(InputError, match="rows"):
         gicp.align(points, target, before, sweep=sweep_of(before), config=SETTINGS)

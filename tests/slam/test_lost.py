@@ -11,7 +11,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import GicpConfig
 from sfgs_jax.slam import PoseSource
 
-FOUR_LEVELS = GicpConfig(strides=(1, 1, 1, 1))
+THREE_LEVELS = GicpConfig(levels=3, strides=(1, 1, 1))
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +69,8 @@ def test_after_long_enough_the_surface_alone_finds_nothing(long_room, config, nu
 def test_without_keypoints_the_surface_is_searched_for_by_turned_guesses(long_room, config, angle, tracked):
     """Three times a second: the camera turns by up to 0.6 rad from frame to frame, and comes back."""
     features = replace(config.tracking.features, kind="none")
-    # Four levels, for no keypoint helps GICP from so far away.
-    tracking = replace(config.tracking, features=features, search_angle=angle, gicp=FOUR_LEVELS)
+    # Three levels, for no keypoint helps GICP from so far away.
+    tracking = replace(config.tracking, features=features, search_angle=angle, gicp=THREE_LEVELS)
     state = slam.init(long_room.camera, replace(config, tracking=tracking))
     numbers = range(0, 60, 10)
     _, infos = follow(state, long_room, numbers)
