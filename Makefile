@@ -9,6 +9,10 @@ PYTEST_WORKERS ?= 2
 # Tests run each of their many programs a few times: programs that compile fast suit them better than fast ones.
 # Where a test is about XLA's defaults, or about the last digits of float64, it asks for them itself.
 TEST_XLA_FLAGS ?= --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
+# What one worker has compiled, the other and the next run need not. Keeping a program takes less time than
+# compiling the smallest.
+TEST_CACHE = JAX_COMPILATION_CACHE_DIR="$${JAX_COMPILATION_CACHE_DIR:-$(abspath $(VENV))/test_programs}" \
+	JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0
 
 .PHONY: demo test lint types imports docs bench clean
 
@@ -16,7 +20,7 @@ demo: $(VENV)/.installed
 	$(BIN)/sfgs-jax run $(DEMO_SOURCE) --out $(DEMO_OUT) --overwrite
 
 test: $(VENV)/.installed
-	XLA_FLAGS="$$XLA_FLAGS $(TEST_XLA_FLAGS)" $(BIN)/pytest -n $(PYTEST_WORKERS)
+	XLA_FLAGS="$$XLA_FLAGS $(TEST_XLA_FLAGS)" $(TEST_CACHE) $(BIN)/pytest -n $(PYTEST_WORKERS)
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
