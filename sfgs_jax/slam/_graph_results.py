@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from sfgs_jax.slam.frontend import with_depth_offsets
-from sfgs_jax.slam.keyframes import advance_graph, settled
+from sfgs_jax.slam.keyframes import advance_graph, rectified_anew, settled
 from sfgs_jax.slam.mapping import follow_keyframes
 from sfgs_jax.slam.state import KeyframeGraph, SlamState, with_graph_poses
 
@@ -26,13 +26,17 @@ def with_graph(state: SlamState, graph: KeyframeGraph) -> SlamState:
 def finish(state: SlamState) -> SlamState:
     """The state at the end of a run: all waiting pairs of keyframes registered, the keyframes adjusted.
 
-    While frames come, few pairs are registered after each, and an adjustment takes few iterations. The map
-    moves with the keyframes. More frames may follow.
+    All keyframes are rectified by the times of the rows as they are known now. While frames come, few pairs
+    are registered after each, and an adjustment takes few iterations. The map moves with the keyframes. More
+    frames may follow.
 
     Args:
         state: after the last frame.
     """
-    config = state.config.graph
+    config, motion = state.config.graph, state.tracker.last_motion
+    if state.config.tracking.estimate_timing and bool(motion.known):
+        graph = rectified_anew(state.params, state.graph, motion.timing, config, deviations=1.0)
+        state = replace(state, graph=graph)
     while state.graph.pending:
         graph, _ = advance_graph(state.params, state.graph, config, grown=False)
         state = with_graph(state, graph)

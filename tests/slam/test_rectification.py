@@ -128,13 +128,13 @@ def early(recordings, seen):
 def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordings, seen, motion, early):
     """In two steps it comes where it comes in one; its edges wait to be registered anew, but for the loop."""
     params, graph = early
-    assert rectified_anew(params, graph, TIMING) is graph, "its motion is unknown"
+    assert rectified_anew(params, graph, TIMING, slam.GraphConfig()) is graph, "its motion is unknown"
     graph = with_first_motion(graph, motion)
     assert graph.keyframes[0].features is seen, "no times are known yet"
     half = SensorTiming(*np.asarray(TIMING.vector, np.float32) / 2)
-    graph = rectified_anew(params, graph, half)
+    graph = rectified_anew(params, graph, half, slam.GraphConfig())
     assert graph.pending == ((0, 1), (1, 2))
-    graph = rectified_anew(params, graph, TIMING)
+    graph = rectified_anew(params, graph, TIMING, slam.GraphConfig())
     assert [k.edition for k in graph.keyframes] == [2]
     assert len(graph.edges) == 3, "they hold until they are replaced"
     wanted = rectified(seen, recordings[0].camera, motion)
@@ -147,6 +147,8 @@ def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordi
 
 def test_times_that_change_little_leave_keyframes_as_they_are(motion, early):
     params, graph = early
-    graph = rectified_anew(params, with_first_motion(graph, motion), TIMING)
+    graph = rectified_anew(params, with_first_motion(graph, motion), TIMING, slam.GraphConfig())
     near = SensorTiming(*np.asarray(TIMING.vector, np.float32) + 2e-4)
-    assert rectified_anew(params, graph, near) is graph
+    assert rectified_anew(params, graph, near, slam.GraphConfig()) is graph
+    again = rectified_anew(params, graph, near, slam.GraphConfig(), deviations=0.01)
+    assert [k.edition for k in again.keyframes] == [2]

@@ -58,7 +58,7 @@ def with_new_keyframes(
         _, covariance = estimated_timing(params, after)
         graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))
         if bool(after.last_motion.known):
-            graph = rectified_anew(params, graph, after.last_motion.timing)
+            graph = rectified_anew(params, graph, after.last_motion.timing, config)
     return graph
 
 

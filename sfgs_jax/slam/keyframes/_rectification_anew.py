@@ -13,10 +13,15 @@ from jaxtyping import Float
 from sfgs_jax.geometry import Camera
 from sfgs_jax.gicp import RowMotion
 from sfgs_jax.sensors import SensorTiming
+from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import rectified
+from sfgs_jax.slam.keyframes._edge_noise import prior_noise
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
+
+_SOON = 3.0
+"""Motion of the rows, in deviations of an edge, for which a keyframe is not left until the end of the run."""
 
 
 def with_first_motion(graph: KeyframeGraph, moving: RowMotion) -> KeyframeGraph:
@@ -36,18 +41,29 @@ def with_first_motion(graph: KeyframeGraph, moving: RowMotion) -> KeyframeGraph:
     return replace(graph, keyframes=(*graph.keyframes[:-1], newest))
 
 
-def rectified_anew(params: TrackerParams, graph: KeyframeGraph, timing: SensorTiming) -> KeyframeGraph:
+def rectified_anew(
+    params: TrackerParams,
+    graph: KeyframeGraph,
+    timing: SensorTiming,
+    config: GraphConfig,
+    *,
+    deviations: float = _SOON,
+) -> KeyframeGraph:
     """The graph with its keyframes rectified by the times as they are known now.
 
-    A keyframe whose rows move by more than edges err is registered anew. Until then its edges hold.
+    They are registered anew too. Until then their edges hold.
 
     Args:
         params: parameters of tracking.
         graph: before.
         timing: times of the rows as the newest frame was tracked with.
+        config: settings.
+        deviations: motion of the outermost rows from which on that is worth it, in the deviations of an edge
+            that the settings have.
     """
     times = np.asarray(timing.vector)
-    stale = [i for i, k in enumerate(graph.keyframes) if _surprise(k, times, graph.noise.covariance) > 1]
+    errors = prior_noise(config).covariance
+    stale = [i for i, k in enumerate(graph.keyframes) if _surprise(k, times, errors) > deviations**2]
     if not stale:
         return graph
     keyframes = list(graph.keyframes)

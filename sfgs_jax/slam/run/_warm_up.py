@@ -78,7 +78,7 @@ def _compile_graph(state: SlamState) -> None:
     if state.config.tracking.estimate_timing:
         moving = RowMotion(jnp.ones(6), motion.timing, jnp.asarray(True))
         graph = with_first_motion(replace(graph, keyframes=graph.keyframes[:1]), moving)
-        rectified_anew(state.params, graph, SensorTiming(*np.ones(3, np.float32)))
+        rectified_anew(state.params, graph, SensorTiming(*np.ones(3, np.float32)), config)
 
 
 def _compile_lost(state: SlamState) -> None:
