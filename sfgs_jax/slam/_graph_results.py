@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from sfgs_jax.slam.frontend import with_depth_offsets
 from sfgs_jax.slam.keyframes import advance_graph, rectified_anew, settled
 from sfgs_jax.slam.mapping import follow_keyframes
@@ -35,7 +37,9 @@ def finish(state: SlamState) -> SlamState:
     """
     config, motion = state.config.graph, state.tracker.last_motion
     if state.config.tracking.estimate_timing and bool(motion.known):
-        graph = rectified_anew(state.params, state.graph, motion.timing, config, deviations=1.0)
+        graph = rectified_anew(
+            state.params, state.graph, np.asarray(motion.timing.vector), config, deviations=1.0
+        )
         state = replace(state, graph=graph)
     while state.graph.pending:
         graph, _ = advance_graph(state.params, state.graph, config, grown=False)

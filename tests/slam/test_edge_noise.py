@@ -91,7 +91,7 @@ def test_what_is_open_about_the_sensors_widens_all_edges(room, config, graph):
     """A keyframe at rest, and one that turned by 0.5 rad/s while a delay was known to 4 ms; depth to 1 mm."""
     tracking = replace(config.tracking, estimate_timing=True, estimate_depth=True)
     state = slam.init(room.camera, replace(config, tracking=tracking))
-    turning = replace(state.tracker.last_motion, twist=jnp.asarray([0, 0, 0, 0, 0.5, 0]))
+    turning = np.asarray([0, 0, 0, 0, 0.5, 0], np.float32)
     resting = Keyframe(
         features=feature_shapes(state.params),
         landmarks=np.full(4, -1),
@@ -99,13 +99,14 @@ def test_what_is_open_about_the_sensors_widens_all_edges(room, config, graph):
         reference=0,
         T_reference_keyframe=graph.edges[0].T_target_source,
         offsets=state.graph.offsets,
-        motion=state.tracker.last_motion,
+        twist=np.zeros(6, np.float32),
+        times=np.zeros(3, np.float32),
         edition=0,
     )
     edge = replace(
         graph.edges[0], offsets=state.graph.offsets, sensitivity=np.zeros((6, len(state.graph.offsets)))
     )
-    alone = replace(state.graph, keyframes=(resting, replace(resting, motion=turning)), edges=(edge,))
+    alone = replace(state.graph, keyframes=(resting, replace(resting, twist=turning)), edges=(edge,))
     known = edge_noise(state.params, alone, config.graph).covariance
     np.testing.assert_array_equal(known, prior_noise(config.graph).covariance)
     late = replace(alone, times_covariance=np.diag([0.004**2, 0, 0]))

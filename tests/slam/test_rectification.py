@@ -18,6 +18,7 @@ from sfgs_jax.superfeats import Features
 
 FAULTS = KinectFaults(depth_delay=0.015, depth_readout=0.025)
 TIMING = SensorTiming(FAULTS.depth_delay, FAULTS.colour_readout, FAULTS.depth_readout)
+TIMES = np.asarray(TIMING.vector, np.float32)
 NUMBER = 20
 STEP = 1e-3
 
@@ -104,7 +105,6 @@ def early(recordings, seen):
         recordings[0].camera,
         replace(config.tracking, features=replace(config.tracking.features, kind="none")),
     )
-    unknown = gicp.RowMotion(jnp.zeros(6), SensorTiming(), jnp.asarray(False))
     none, one = np.zeros(0), np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32)
     matrix, free = np.eye(6, dtype=np.float32), np.zeros((6, 0))
     keyframe = Keyframe(
@@ -114,7 +114,8 @@ def early(recordings, seen):
         reference=0,
         T_reference_keyframe=one,
         offsets=none,
-        motion=unknown,
+        twist=np.zeros(6, np.float32),
+        times=np.zeros(3, np.float32),
         edition=0,
     )
     edges = tuple(
@@ -128,13 +129,12 @@ def early(recordings, seen):
 def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordings, seen, motion, early):
     """In two steps it comes where it comes in one; its edges wait to be registered anew, but for the loop."""
     params, graph = early
-    assert rectified_anew(params, graph, TIMING, slam.GraphConfig()) is graph, "its motion is unknown"
-    graph = with_first_motion(graph, motion)
+    assert rectified_anew(params, graph, TIMES, slam.GraphConfig()) is graph, "its motion is unknown"
+    graph = with_first_motion(graph, np.asarray(motion.twist))
     assert graph.keyframes[0].features is seen, "no times are known yet"
-    half = SensorTiming(*np.asarray(TIMING.vector, np.float32) / 2)
-    graph = rectified_anew(params, graph, half, slam.GraphConfig())
+    graph = rectified_anew(params, graph, TIMES / 2, slam.GraphConfig())
     assert graph.pending == ((0, 1), (1, 2))
-    graph = rectified_anew(params, graph, TIMING, slam.GraphConfig())
+    graph = rectified_anew(params, graph, TIMES, slam.GraphConfig())
     assert [k.edition for k in graph.keyframes] == [2]
     assert len(graph.edges) == 3, "they hold until they are replaced"
     wanted = rectified(seen, recordings[0].camera, motion)
@@ -147,8 +147,10 @@ def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordi
 
 def test_times_that_change_little_leave_keyframes_as_they_are(motion, early):
     params, graph = early
-    graph = rectified_anew(params, with_first_motion(graph, motion), TIMING, slam.GraphConfig())
-    near = SensorTiming(*np.asarray(TIMING.vector, np.float32) + 2e-4)
+    graph = rectified_anew(
+        params, with_first_motion(graph, np.asarray(motion.twist)), TIMES, slam.GraphConfig()
+    )
+    near = TIMES + np.float32(2e-4)
     assert rectified_anew(params, graph, near, slam.GraphConfig()) is graph
     again = rectified_anew(params, graph, near, slam.GraphConfig(), deviations=0.01)
     assert [k.edition for k in again.keyframes] == [2]

@@ -60,6 +60,17 @@ def test_a_saved_state_goes_on_to_the_same_end(room, frames, busy, tmp_path):
         slam.load(tmp_path / "nowhere", busy)
 
 
+def test_a_keyframe_rectified_anew_after_a_save_is_saved_anew(room, frames, busy, tmp_path):
+    state = follow(slam.init(room.camera, busy), frames[:2])
+    slam.save(state, tmp_path)
+    first, *rest = state.graph.keyframes
+    keypoints = replace(first.features.keypoints, depth=first.features.keypoints.depth + 0.01)
+    anew = replace(first, features=replace(first.features, keypoints=keypoints), edition=1)
+    state = replace(state, graph=replace(state.graph, keyframes=(anew, *rest)))
+    slam.save(state, tmp_path)
+    assert_equal(slam.load(tmp_path, busy), state)
+
+
 def test_a_state_is_refused_by_name(room, frames, busy, tmp_path):
     state, _ = slam.step(slam.init(room.camera, busy), frames[0])
     slam.save(state, tmp_path, num_frames=1)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.state._registration import PoseSource, Registration
+from sfgs_jax.slam.state._registration import BY_KEYPOINTS, PoseSource, Registration
 
 Flag = Bool[Array, ""] | bool
 
@@ -92,7 +92,7 @@ def supports_relocalisation(found: Registration, config: GraphConfig) -> bool:
         found: registration of the frame to the keyframe.
         config: settings.
     """
-    keypoints = int(found.source) in (PoseSource.JOINT, PoseSource.KEYPOINTS)
+    keypoints = int(found.source) in BY_KEYPOINTS
     return keypoints and int(found.matched.num_inliers) >= config.relocalisation_inliers
 
 
@@ -107,7 +107,7 @@ def supports_edge(
         config: settings.
         with_keypoints: whether there are keypoints at all; where there are, they must take part.
     """
-    sources = (PoseSource.JOINT, PoseSource.KEYPOINTS) if with_keypoints else (PoseSource.SURFACE,)
+    sources = BY_KEYPOINTS if with_keypoints else (PoseSource.SURFACE,)
     return int(found.source) in sources and correction < config.max_correction
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.state._keyframe_graph import EdgeNoise
-from sfgs_jax.slam.state._registration import PoseSource, Registration
+from sfgs_jax.slam.state._registration import BY_KEYPOINTS, Registration
 
 
 def motion_covariance(found: Registration, noise: EdgeNoise, free_sigma: float) -> Float[np.ndarray, "6 6"]:
@@ -17,7 +17,7 @@ def motion_covariance(found: Registration, noise: EdgeNoise, free_sigma: float) 
         free_sigma: standard deviation where nothing but the motion model tells, metres and radians.
     """
     told = np.asarray(found.surface_information, np.float64) + np.eye(6) / free_sigma**2
-    if int(found.source) in (PoseSource.JOINT, PoseSource.KEYPOINTS):
+    if int(found.source) in BY_KEYPOINTS:
         told += np.asarray(found.matched.information)
     return np.linalg.inv(told) + noise.covariance
 

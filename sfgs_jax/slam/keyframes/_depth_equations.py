@@ -21,13 +21,12 @@ from sfgs_jax.arrays import dot
 from sfgs_jax.geometry import kernel_weight, reprojection_residuals, se3
 from sfgs_jax.sensors import grid_shares
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._registration import PoseSource, Registration
+from sfgs_jax.slam.state._registration import BY_KEYPOINTS, PoseSource, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _DECIMATION = 2
 """Every second row and column of the points aligned: neighbours share most of their pixels."""
 
-_BY_KEYPOINTS = (PoseSource.JOINT, PoseSource.KEYPOINTS)
 _MIN_FLATNESS = 0.9
 """Least cosine between a point's normal and those two pixels around it. The mean of a window over a crease
 lies beside the surface, the more the farther it is. In a room seen without error that looked like one of
@@ -63,7 +62,7 @@ def depth_equations(
     taken = np.linalg.solve(_regular(surface[:6, :6]), surface[:6, 6:])
     left = surface[6:, 6:] - surface[6:, :6] @ taken
     kind = int(found.source)
-    both = surface * (kind != PoseSource.KEYPOINTS) + keypoints * (kind in _BY_KEYPOINTS)
+    both = surface * (kind != PoseSource.KEYPOINTS) + keypoints * (kind in BY_KEYPOINTS)
     sensitivity = -np.linalg.solve(_regular(both[:6, :6]), both[:6, 6:-1])
     return DepthEquations(left[:-1, :-1], -left[:-1, -1], sensitivity)
 

@@ -88,10 +88,12 @@ def _by_sensors(
 
 def _by_times(graph: KeyframeGraph, edges: Sequence[Edge]) -> Float[np.ndarray, "n 6"]:
     """Derivatives of edges' tangents by a time that both their keyframes are off by, 1/s."""
-    twists = np.asarray([keyframe.motion.twist for keyframe in graph.keyframes], np.float64)
-    targets, sources = np.asarray([(edge.target, edge.source) for edge in edges]).T
+    targets, sources = (
+        np.asarray([graph.keyframes[number].twist for number in numbers], np.float64)
+        for numbers in zip(*((edge.target, edge.source) for edge in edges), strict=True)
+    )
     back = np.linalg.inv(se3.matrices_of(np.stack([edge.T_target_source for edge in edges])))
-    return twists[sources] - np.einsum("nij,nj->ni", se3.adjoints_of(back), twists[targets])
+    return sources - np.einsum("nij,nj->ni", se3.adjoints_of(back), targets)
 
 
 def _edges_of_a_tree(edges: Sequence[Edge]) -> int:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from sfgs_jax.geometry import se3
-from sfgs_jax.gicp import RowMotion
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import TrackInfo, estimated_timing, features_in_use, offsets_in_use
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
@@ -45,7 +45,7 @@ def with_new_keyframes(
     if not graph.keyframes:
         return first_keyframe(params, graph, _reference(after, 0, frames[1]))
     if graph.keyframes[-1].frame == frames[0]:
-        graph = with_first_motion(graph, after.last_motion)
+        graph = with_first_motion(graph, np.asarray(after.last_motion.twist))
     if bridged:
         reference = int(before.reference_keyframes[before.current])
         # The frame's own keyframe came after it.
@@ -58,7 +58,7 @@ def with_new_keyframes(
         _, covariance = estimated_timing(params, after)
         graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))
         if bool(after.last_motion.known):
-            graph = rectified_anew(params, graph, after.last_motion.timing, config)
+            graph = rectified_anew(params, graph, np.asarray(after.last_motion.timing.vector), config)
     return graph
 
 
@@ -67,21 +67,23 @@ class Reference(NamedTuple):
 
     Attributes:
         features: of the frame, rectified.
-        motion: of its rows, by which they were rectified.
+        twist: its motion per second while it was read; zeros if unknown.
+        times: of the rows, by which the features were rectified.
         frame: its number in its source.
     """
 
     features: FrameFeatures
-    motion: RowMotion
+    twist: Float[np.ndarray, "6"]
+    times: Float[np.ndarray, "3"]
     frame: int
 
 
 def _reference(tracker: Tracker, back: int, frame: int) -> Reference:
     """The tracker's current reference, or one that it had before."""
-    slot = tracker.current - np.int32(back)
-    number = int(slot) % len(tracker.reference_keyframes)
-    motion = jax.tree.map(lambda ring: jax.device_put(np.asarray(ring)[number]), tracker.reference_motions)
-    return Reference(reference_at(tracker, slot), motion, frame)
+    slot = (np.asarray(tracker.current) - back) % len(tracker.reference_keyframes)
+    motion = jax.tree.map(lambda ring: np.asarray(ring)[slot], tracker.reference_motions)
+    times = np.asarray([motion.timing.depth_delay, motion.timing.colour_readout, motion.timing.depth_readout])
+    return Reference(reference_at(tracker, slot.astype(np.int32)), motion.twist, times, frame)
 
 
 def first_keyframe(params: TrackerParams, graph: KeyframeGraph, new: Reference) -> KeyframeGraph:
@@ -93,7 +95,7 @@ def first_keyframe(params: TrackerParams, graph: KeyframeGraph, new: Reference) 
         new: the frame.
     """
     identity = np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32)
-    return _with_keyframe(params, graph, new, identity, identity, reference=0)
+    return _with_keyframe(params, graph, new, identity, identity, np.zeros((1, 6, 6)), reference=0)
 
 
 def insert_keyframe(
@@ -121,8 +123,7 @@ def insert_keyframe(
         graph.covariances[reference][None], se3.matrices_of(motion[None]), own[None]
     )
     source = len(graph.keyframes)
-    graph = _with_keyframe(params, graph, new, pose, motion, reference=reference)
-    graph = replace(graph, covariances=np.concatenate([graph.covariances[:-1], covariance]))
+    graph = _with_keyframe(params, graph, new, pose, motion, covariance, reference=reference)
     if not config.enabled:
         return graph
     graph = share_landmarks(graph, reference, source, found)
@@ -140,6 +141,7 @@ def _with_keyframe(
     new: Reference,
     pose: np.ndarray,
     tracked: np.ndarray,
+    covariance: Float[np.ndarray, "1 6 6"],
     *,
     reference: int,
 ) -> KeyframeGraph:
@@ -151,14 +153,15 @@ def _with_keyframe(
         reference=reference,
         T_reference_keyframe=tracked,
         offsets=offsets_in_use(params),
-        motion=new.motion,
+        twist=new.twist,
+        times=new.times,
         edition=0,
     )
     return replace(
         graph,
         keyframes=(*graph.keyframes, keyframe),
         poses=np.concatenate([graph.poses, pose[None]]),
-        covariances=np.concatenate([graph.covariances, np.zeros((1, 6, 6))]),
+        covariances=np.concatenate([graph.covariances, covariance]),
     )
 
 

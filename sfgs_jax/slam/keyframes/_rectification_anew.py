@@ -7,8 +7,9 @@ all later registrations err.
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Camera
 from sfgs_jax.gicp import RowMotion
@@ -17,34 +18,33 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import rectified
 from sfgs_jax.slam.keyframes._edge_noise import prior_noise
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _SOON = 3.0
 """Motion of the rows, in deviations of an edge, for which a keyframe is not left until the end of the run."""
 
 
-def with_first_motion(graph: KeyframeGraph, moving: RowMotion) -> KeyframeGraph:
+def with_first_motion(graph: KeyframeGraph, twist: Float[np.ndarray, "6"]) -> KeyframeGraph:
     """The graph whose newest keyframe moved like the frame after it, if its own motion is unknown.
 
     It was taken for a camera at rest, so that no times of rows are used in it yet.
 
     Args:
         graph: with a keyframe.
-        moving: motion of the rows of the next frame.
+        twist: motion of the next frame per second.
     """
     newest = graph.keyframes[-1]
-    if bool(newest.motion.known) or not bool(moving.known):
+    if newest.twist.any():
         return graph
-    still = SensorTiming(*np.zeros(3, np.float32))
-    newest = replace(newest, motion=replace(moving, timing=still))
+    newest = replace(newest, twist=twist, times=np.zeros(3, np.float32))
     return replace(graph, keyframes=(*graph.keyframes[:-1], newest))
 
 
 def rectified_anew(
     params: TrackerParams,
     graph: KeyframeGraph,
-    timing: SensorTiming,
+    times: Float[np.ndarray, "3"],
     config: GraphConfig,
     *,
     deviations: float = _SOON,
@@ -56,14 +56,12 @@ def rectified_anew(
     Args:
         params: parameters of tracking.
         graph: before.
-        timing: times of the rows as the newest frame was tracked with.
+        times: of the rows, as the newest frame was tracked with.
         config: settings.
         deviations: motion of the outermost rows from which on that is worth it, in the deviations of an edge
             that the settings have.
     """
-    times = np.asarray(timing.vector)
-    errors = prior_noise(config).covariance
-    stale = [i for i, k in enumerate(graph.keyframes) if _surprise(k, times, errors) > deviations**2]
+    stale = np.flatnonzero(_surprises(graph, times, config) > deviations**2).tolist()
     if not stale:
         return graph
     keyframes = list(graph.keyframes)
@@ -71,8 +69,8 @@ def rectified_anew(
         keyframe = keyframes[number]
         keyframes[number] = replace(
             keyframe,
-            features=_moved(keyframe.features, params.camera, keyframe.motion, timing),
-            motion=replace(keyframe.motion, timing=timing),
+            features=_moved(keyframe.features, params.camera, keyframe.twist, times - keyframe.times),
+            times=times,
             edition=keyframe.edition + 1,
         )
     again = [
@@ -84,18 +82,19 @@ def rectified_anew(
     return replace(graph, keyframes=tuple(keyframes), pending=(*again, *waiting))
 
 
-def _surprise(
-    keyframe: Keyframe, times: Float[np.ndarray, "3"], covariance: Float[np.ndarray, "6 6"]
-) -> float:
-    """Squared motion of the outermost rows by the change of the times, in deviations of an edge."""
-    if not bool(keyframe.motion.known):
-        return 0.0
-    delay, colour, depth = np.abs(times - np.asarray(keyframe.motion.timing.vector))
-    moved = max(colour / 2, delay + depth / 2) * np.asarray(keyframe.motion.twist, float)
-    return float(moved @ np.linalg.solve(covariance, moved))
+def _surprises(
+    graph: KeyframeGraph, times: Float[np.ndarray, "3"], config: GraphConfig
+) -> Float[np.ndarray, " n"]:
+    """Squared motions of the outermost rows by the change of the times, in deviations of an edge."""
+    known = np.stack([keyframe.times for keyframe in graph.keyframes])
+    delay, colour, depth = np.abs(times - known).T.astype(np.float64)
+    moved = np.maximum(colour / 2, delay + depth / 2)[:, None] * np.stack([k.twist for k in graph.keyframes])
+    return np.einsum("ni,ij,nj->n", moved, np.linalg.inv(prior_noise(config).covariance), moved)
 
 
 @jax.jit
-def _moved(features: FrameFeatures, camera: Camera, before: RowMotion, timing: SensorTiming) -> FrameFeatures:
-    change = SensorTiming.of_vector(timing.vector - before.timing.vector)
-    return rectified(features, camera, RowMotion(before.twist, change, before.known))
+def _moved(
+    features: FrameFeatures, camera: Camera, twist: Float[Array, "6"], change: Float[Array, "3"]
+) -> FrameFeatures:
+    moving = RowMotion(jnp.asarray(twist), SensorTiming.of_vector(jnp.asarray(change)), jnp.asarray(True))
+    return rectified(features, camera, moving)

@@ -225,7 +225,7 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     edge = Edge(0, 0, motion, matrix, motion, matrix, False, False, offsets, sensitivity)
     shapes = feature_shapes(state.params)
     keyframe = _bare_keyframe(
-        Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, state.tracker.last_motion, 0)
+        Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, motion[:6], motion[:3], 0)
     )
     view = _bare_view(View(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32), 0, se3.identity(), 0))
     graph = replace(

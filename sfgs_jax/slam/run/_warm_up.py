@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from sfgs_jax.geometry import Camera, Frame, se3
-from sfgs_jax.gicp import RowMotion
-from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import (
@@ -27,7 +25,6 @@ from sfgs_jax.slam.keyframes import (
     bend,
     insert_keyframe,
     rectified_anew,
-    with_first_motion,
 )
 from sfgs_jax.slam.mapping import prune
 from sfgs_jax.slam.state import SlamState, move, with_graph_poses
@@ -63,9 +60,10 @@ def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
 def _compile_graph(state: SlamState) -> None:
     """Insertion of a keyframe, its registration, adjustment, loop closure, another correction of depth."""
     config = state.config.graph
-    features, motion = state.graph.keyframes[0].features, state.graph.keyframes[0].motion
+    features, twist = state.graph.keyframes[0].features, np.ones(6, np.float32)
+    times = np.zeros(3, np.float32)
     found = register(state.params, features, features, se3.identity())
-    graph = insert_keyframe(state.params, state.graph, Reference(features, motion, 1), found, 0, config)
+    graph = insert_keyframe(state.params, state.graph, Reference(features, twist, times, 1), found, 0, config)
     graph, _ = advance_graph(state.params, replace(graph, pending=((0, 1),)), config, grown=True)
     if graph.edges:
         bend(graph, config)
@@ -76,9 +74,7 @@ def _compile_graph(state: SlamState) -> None:
         params, _ = with_depth_offsets(state.params, tracker, graph.offsets + _ANOTHER_OFFSET)
         features_in_use(params, graph.keyframes[0])
     if state.config.tracking.estimate_timing:
-        moving = RowMotion(jnp.ones(6), motion.timing, jnp.asarray(True))
-        graph = with_first_motion(replace(graph, keyframes=graph.keyframes[:1]), moving)
-        rectified_anew(state.params, graph, SensorTiming(*np.ones(3, np.float32)), config)
+        rectified_anew(state.params, graph, times + 1, config)
 
 
 def _compile_lost(state: SlamState) -> None:

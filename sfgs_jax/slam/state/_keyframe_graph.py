@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import pytree
-from sfgs_jax.gicp import RowMotion
 from sfgs_jax.slam.state._depth_information import DepthInformation, no_depth_information
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 
@@ -24,7 +23,8 @@ class Keyframe:
         reference: number of the keyframe that it was tracked in; its own for the first.
         T_reference_keyframe: (7,) pose that it was tracked at there, as wxyz_xyz.
         offsets: (G,) of the depth correction that the features have, 1/m; none if depth is not corrected.
-        motion: of its rows, by which the features were rectified.
+        twist: (6,) motion per second while it was read, in its camera; zeros if unknown.
+        times: (3,) of its rows by which the features were rectified, in the order of `SensorTiming`; seconds.
         edition: how often they were rectified anew.
     """
 
@@ -34,7 +34,8 @@ class Keyframe:
     reference: int
     T_reference_keyframe: Float[np.ndarray, "7"]
     offsets: Float[np.ndarray, " G"]
-    motion: RowMotion
+    twist: Float[np.ndarray, "6"]
+    times: Float[np.ndarray, "3"]
     edition: int
 
 

@@ -23,6 +23,10 @@ class PoseSource(IntEnum):
     """GICP, with the motion model along directions that the surface leaves free."""
 
 
+BY_KEYPOINTS = (PoseSource.JOINT, PoseSource.KEYPOINTS)
+"""Sources in which matched keypoints take part."""
+
+
 class FeatureRegistration(eqx.Module):
     """A motion found from matched keypoints alone, and its matches.
 

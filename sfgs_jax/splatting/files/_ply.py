@@ -43,6 +43,19 @@ def save_ply(path: Path | str, gaussians: Gaussians) -> None:
         axis=1,
     )
     rows = np.ascontiguousarray(table).view([(name, "<f4") for name in _ply_columns(k)])[:, 0]
+    write_vertices(path, rows)
+
+
+def write_vertices(path: Path | str, rows: np.ndarray) -> None:
+    """Write a binary PLY file of vertices, whole or not at all.
+
+    Args:
+        path: the file; one that exists is replaced.
+        rows: structured array with a field for each property.
+
+    Raises:
+        OSError: the file can't be written.
+    """
     buffer = io.BytesIO()
     PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(buffer)
     write_atomically(path, buffer.getvalue())

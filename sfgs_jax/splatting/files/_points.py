@@ -1,14 +1,12 @@
 """Coloured point clouds: the Gaussians' centres, for programs that know no splats."""
 
-import io
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData, PlyElement
 
-from sfgs_jax.arrays import write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb
+from sfgs_jax.splatting.files._ply import write_vertices
 
 _VERTEX = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 
@@ -32,6 +30,4 @@ def save_points(path: Path | str, gaussians: Gaussians) -> None:
         vertices[name] = values["means"][:, column]
     for column, name in enumerate(("red", "green", "blue")):
         vertices[name] = rgb[:, column]
-    buffer = io.BytesIO()
-    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(buffer)
-    write_atomically(path, buffer.getvalue())
+    write_vertices(path, vertices)
