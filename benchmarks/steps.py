@@ -37,14 +37,15 @@ def steps_of(state: SlamState, grey: np.ndarray, depth: np.ndarray) -> dict[str,
     """One call of each step on the state of a run."""
     config, view = state.config.mapping, state.mapping.views[-1]
     window = window_of(state.params, state.graph, state.config.graph)
-    params = MapParams(state.mapping_camera, config.optimisation, config.seeding, state.mapping.pair_capacity)
-    rgb, small = jnp.asarray(view.rgb), jnp.asarray(view.depth)
+    params = MapParams(
+        state.mapping_camera, None, config.optimisation, config.seeding, state.mapping.pair_capacity
+    )
     pose = se3.compose(state.graph.pose(view.keyframe), view.T_keyframe_cam)
     elapsed = np.float32(1 / 30)
     return {
         "track": lambda: track(state.params, state.tracker, grey, depth, elapsed),
         "adjust": lambda: adjust(state.params, window),
-        "map_step": lambda: map_step(params, state.mapping.map, rgb, small, pose),
+        "map_step": lambda: map_step(params, state.mapping.map, view, pose),
     }
 
 

@@ -21,7 +21,7 @@ from sfgs_jax.cli._run_observer import RunObserver
 from sfgs_jax.cli._summary import summary
 from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording, play, prefetch
 from sfgs_jax.geometry import Camera, Frame
-from sfgs_jax.sensors import SensorModel
+from sfgs_jax.sensors import SensorModel, read_sensors
 from sfgs_jax.slam import (
     PRESETS,
     STORAGE,
@@ -30,7 +30,6 @@ from sfgs_jax.slam import (
     TooManySkipped,
     load_run,
     prepare_folder,
-    read_sensors,
     run,
     write_run,
 )

@@ -86,4 +86,4 @@ class Selection:
         depth = np.asarray(frame.depth)
         if self.max_depth is not None:
             depth = np.where(depth <= self.max_depth, depth, np.float32(0))
-        return Frame(frame.rgb, depth, frame.timestamp, frame.depth_timestamp)
+        return Frame(frame.rgb, depth, frame.timestamp, frame.depth_timestamp, frame.valid)

@@ -42,7 +42,7 @@ def evaluate_run(
     """Compare a run with its recording and add the figures to its `metrics.json`.
 
     The trajectory is compared with the ground truth. The map is rendered at every estimated pose and compared
-    with the recorded images by the four protocols. Metrics that can't be given are listed under `unavailable`
+    with the recorded images by every protocol. Metrics that can't be given are listed under `unavailable`
     with the reason. A second evaluation replaces the figures of the first.
 
     Args:

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import Recording, associate
-from sfgs_jax.geometry import Trajectory, read_tum
+from sfgs_jax.geometry import Trajectory, read_tum, se3
+from sfgs_jax.sensors import SENSOR_FILE, RollingShutter, read_sensors
 
 # Trajectory files hold time stamps to the microsecond.
 _SAME_TIME_S = 1e-5
@@ -24,11 +26,25 @@ class PosedFrames:
         indices: positions in the recording, ascending.
         poses: `T_world_cam` of these frames, float64.
         keyframes: positions in the recording of the frames that were used for mapping.
+        twists: (k, 6) motion of the camera per second in its own frame, between the neighbours of each frame.
+        readout: from the first row of a colour image to its last, seconds; None if the run did not ask.
     """
 
     indices: Int[np.ndarray, " k"]
     poses: Float[np.ndarray, "k 4 4"]
     keyframes: Int[np.ndarray, " m"]
+    twists: Float[np.ndarray, "k 6"]
+    readout: float | None
+
+    def shutter(self, place: int) -> RollingShutter | None:
+        """The camera's motion while it exposed a frame.
+
+        Args:
+            place: of the frame in `indices`.
+        """
+        if self.readout is None:
+            return None
+        return RollingShutter(jnp.asarray(self.twists[place], jnp.float32), jnp.asarray(self.readout))
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -63,7 +79,29 @@ def posed_frames(run_dir: Path, recording: Recording) -> PosedFrames:
         )
     path = run_dir / "keyframes.txt"
     keyframes = _frames_at(read_tum(path), recording)[0] if path.exists() else np.zeros(0, np.int64)
-    return PosedFrames(indices=indices, poses=trajectory.poses[order], keyframes=keyframes)
+    return PosedFrames(
+        indices=indices,
+        poses=trajectory.poses[order],
+        keyframes=keyframes,
+        twists=_twists(trajectory)[order],
+        readout=_readout(run_dir / SENSOR_FILE),
+    )
+
+
+def _readout(path: Path) -> float | None:
+    timing = read_sensors(path).timing if path.exists() else None
+    return None if timing is None else float(timing.colour_readout)
+
+
+def _twists(trajectory: Trajectory) -> Float[np.ndarray, "n 6"]:
+    """Motion per second in each camera's own frame, from the pose before it to the pose after it."""
+    count = len(trajectory)
+    if count < 2:
+        return np.zeros((count, 6))
+    before, after = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
+    moved = np.linalg.inv(trajectory.poses[before]) @ trajectory.poses[after]
+    seconds = trajectory.timestamps[after] - trajectory.timestamps[before]
+    return np.asarray(se3.log(se3.from_matrix(moved)), float) / seconds[:, None]
 
 
 def _frames_at(

@@ -20,12 +20,15 @@ class Frame(eqx.Module):
             stamp.
         depth_timestamp: seconds by the same clock, when depth was exposed; None if that is not known. Then
             the pytree has a leaf less.
+        valid: (H, W) pixels that hold an image: not those beyond a lens's field of view. None if all do; then
+            the pytree has a leaf less.
     """
 
     rgb: Float[Array | np.ndarray, "H W 3"]
     depth: Float[Array | np.ndarray, "H W"]
     timestamp: float
     depth_timestamp: float | None
+    valid: Bool[Array | np.ndarray, "H W"] | None
 
     def __init__(
         self,
@@ -33,6 +36,7 @@ class Frame(eqx.Module):
         depth: Shaped[Array | np.ndarray, "..."],
         timestamp: float,
         depth_timestamp: float | None = None,
+        valid: Shaped[Array | np.ndarray, "..."] | None = None,
     ) -> None:
         """Make a frame of an image pair.
 
@@ -41,9 +45,10 @@ class Frame(eqx.Module):
             depth: (H, W) float metres along z; 0 where missing.
             timestamp: seconds, of colour.
             depth_timestamp: seconds, of depth; None if not known.
+            valid: (H, W) pixels that hold an image; None if all do.
 
         Raises:
-            InputError: an image is of integers or of another shape.
+            InputError: an image is of integers or of another shape, or `valid` is no mask of their shape.
         """
         if not _is_float(rgb) or rgb.ndim != 3 or rgb.shape[2] != 3:
             raise InputError(
@@ -55,8 +60,18 @@ class Frame(eqx.Module):
                 f"A frame's depth is float32 metres of its colour's shape {rgb.shape[:2]}, not {depth.dtype} "
                 f"of shape {depth.shape}; divide a 16-bit image by its units per metre, 1000 for millimetres."
             )
-        self.rgb, self.depth = rgb, depth
+        if valid is not None and (valid.dtype != bool or valid.shape != depth.shape):
+            raise InputError(
+                f"A frame's mask of valid pixels is bool of its depth's shape {depth.shape}, not "
+                f"{valid.dtype} of shape {valid.shape}."
+            )
+        self.rgb, self.depth, self.valid = rgb, depth, valid
         self.timestamp, self.depth_timestamp = timestamp, depth_timestamp
+
+    @property
+    def mask(self) -> Bool[Array | np.ndarray, "H W"]:
+        """(H, W) pixels that hold an image, all of them where `valid` is None."""
+        return np.ones(self.depth.shape, bool) if self.valid is None else self.valid
 
 
 def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:

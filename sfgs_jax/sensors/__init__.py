@@ -4,8 +4,13 @@ from sfgs_jax.sensors._depth_correction import DEPTH_GRID as DEPTH_GRID
 from sfgs_jax.sensors._depth_correction import DepthCorrection as DepthCorrection
 from sfgs_jax.sensors._depth_correction import corrected_depth as corrected_depth
 from sfgs_jax.sensors._depth_correction import grid_shares as grid_shares
+from sfgs_jax.sensors._depth_in_time import depth_in_time as depth_in_time
 from sfgs_jax.sensors._lens import Undistortion as Undistortion
 from sfgs_jax.sensors._model import SensorModel as SensorModel
+from sfgs_jax.sensors._sensor_file import SENSOR_FILE as SENSOR_FILE
+from sfgs_jax.sensors._sensor_file import TIME_NAMES as TIME_NAMES
+from sfgs_jax.sensors._sensor_file import read_sensors as read_sensors
+from sfgs_jax.sensors._timing import RollingShutter as RollingShutter
 from sfgs_jax.sensors._timing import SensorTiming as SensorTiming
 from sfgs_jax.sensors._timing import carried as carried
 from sfgs_jax.sensors._timing import row_places as row_places

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from sfgs_jax.geometry import Camera
 
@@ -13,7 +13,12 @@ class Undistortion:
     """Undistortion: draws colour and depth as a pinhole camera of the same intrinsics would have seen them.
 
     The images are black and without depth beyond the lens's field of view.
+
+    Attributes:
+        valid: (h, w) pixels within it; the others have no colour.
     """
+
+    valid: Bool[np.ndarray, "h w"]
 
     def __init__(self, camera: Camera, coefficients: Sequence[float]) -> None:
         """Prepare for images of the camera's size.
@@ -26,6 +31,14 @@ class Undistortion:
         self._shape = camera.shape
         self._columns, self._rows = cv2.initUndistortRectifyMap(
             matrix, np.asarray(coefficients), None, matrix, self._shape[::-1], cv2.CV_32FC1
+        )
+        height, width = self._shape
+        # A pixel between the outermost ones and the black has some of it.
+        self.valid = (
+            (self._columns >= 0)
+            & (self._columns <= width - 1)
+            & (self._rows >= 0)
+            & (self._rows <= height - 1)
         )
 
     def __call__(

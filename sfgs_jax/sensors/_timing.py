@@ -52,6 +52,18 @@ class SensorTiming(eqx.Module):
         return self.depth_delay + self.depth_readout * places
 
 
+class RollingShutter(eqx.Module):
+    """Motion of a camera while it exposes an image row after row. Gradients reach both fields.
+
+    Attributes:
+        twist: (6,) motion per second in the camera's own frame, translation first; 0 for a camera at rest.
+        readout: from the first row to the last, seconds; 0 for a global shutter.
+    """
+
+    twist: Float[Array, "6"]
+    readout: Float[Array, ""] = eqx.field(converter=_as_float)
+
+
 def row_places(rows: Float[Array, "*n"], height: int) -> Float[Array, "*n"]:
     """Places of rows in an image, from -1/2 at the top to 1/2 at the bottom, the same at every resolution.
 

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from sfgs_jax.slam.frontend import with_depth_offsets
 from sfgs_jax.slam.keyframes import advance_graph, rectified_anew, settled
 from sfgs_jax.slam.mapping import follow_keyframes
@@ -35,14 +33,12 @@ def finish(state: SlamState) -> SlamState:
     Args:
         state: after the last frame.
     """
-    config, motion = state.config.graph, state.tracker.last_motion
-    if state.config.tracking.estimate_timing and bool(motion.known):
-        graph = rectified_anew(
-            state.params, state.graph, np.asarray(motion.timing.vector), config, deviations=1.0
-        )
+    config, times = state.config.graph, state.row_times
+    if times is not None and bool(state.tracker.last_motion.known):
+        graph = rectified_anew(state.params, state.graph, times, config, deviations=1.0)
         state = replace(state, graph=graph)
     while state.graph.pending:
         graph, _ = advance_graph(state.params, state.graph, config, grown=False)
         state = with_graph(state, graph)
     state = with_graph(state, settled(state.params, state.graph, config))
-    return replace(state, mapping=follow_keyframes(state.mapping, state.graph.poses))
+    return replace(state, mapping=follow_keyframes(state.mapping, state.graph.poses, state.row_times))

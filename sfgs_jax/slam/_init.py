@@ -27,7 +27,7 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
         params=params,
         tracker=init_tracker(params),
         graph=empty_graph(offsets_in_use(params), prior_noise(config.graph)),
-        mapping=empty_map_state(config.mapping),
+        mapping=empty_map_state(config.mapping, timed=config.tracking.estimate_timing),
         log=empty_log(),
         next_frame=0,
         last_timestamp=float("nan"),

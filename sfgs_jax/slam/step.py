@@ -108,7 +108,8 @@ def follow(
     interval = state.config.mapping.view_interval
     if view_is_due(number, state.last_view, recent, interval, new_keyframe=info.new_keyframe):
         factor = mapping_factor(state.camera, state.config.mapping)
-        view = view_of(with_corrected_depth(params, frame), factor, keyframe, T_keyframe_cam, number)
+        corrected, twist = with_corrected_depth(params, frame), tracker.last_motion.twist
+        view = view_of(corrected, factor, keyframe, T_keyframe_cam, number, twist)
     state = replace(state, log=log, last_view=state.last_view if view is None else number)
     covariance = covariances_of(log, graph, slice(-1, None))[0]
     info = info._replace(T_world_cam=state.T_world_cam, covariance=covariance)

@@ -8,9 +8,13 @@ With m₁ and m₂ the rows of M, det Σ = |m₁ x m₂|² + 0.3 (|m₁|² + |m�
 in it. So U is accurate in float32 even for a needle that is hundreds of pixels long and half a pixel wide.
 The entries of Σ⁻¹ would not be.
 
+Under a rolling shutter a Gaussian is seen where it lies when its row is exposed. The row is the one that it
+would have without motion: it moves by a few pixels, which changes the time by some ten microseconds.
+
 All products are written out as sums of elementwise ones, which run in float32 on every device.
 
-Source: Zwicker et al., EWA splatting, 2002; Kerbl et al., 3D Gaussian splatting, 2023.
+Source: Zwicker et al., EWA splatting, 2002; Kerbl et al., 3D Gaussian splatting, 2023; Seiskari et al.,
+Gaussian splatting on the move, 2024 (rolling shutter).
 """
 
 import math
@@ -25,6 +29,7 @@ from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.arrays import dot, map_used_rows
 from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.sensors import RollingShutter, carried, row_places
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians
 from sfgs_jax.splatting._spherical_harmonics import sh_colours
@@ -61,7 +66,12 @@ class Projected(eqx.Module):
 
 
 def project(
-    gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, *, config: RenderConfig = DEFAULT
+    gaussians: Gaussians,
+    camera: Camera,
+    T_world_cam: jaxlie.SE3,
+    shutter: RollingShutter | None = None,
+    *,
+    config: RenderConfig = DEFAULT,
 ) -> tuple[Projected, Float[Array, "n 3"]]:
     """Images of the Gaussians, and their RGB as seen from the camera.
 
@@ -73,6 +83,8 @@ def project(
         gaussians: the map.
         camera: intrinsics and image size.
         T_world_cam: pose of the camera.
+        shutter: its motion while the rows are exposed, then the pose is that of the middle row; None for an
+            image taken at once.
         config: settings, static; only `near`, `far` and `antialiased` have an influence.
 
     Returns:
@@ -81,15 +93,21 @@ def project(
     Raises:
         InputError: the harmonics are not of degree 0 to 3.
     """
-    return _project(gaussians, camera, T_world_cam, config)
+    return _project(gaussians, camera, T_world_cam, shutter, config)
 
 
 # Compiled here: hundreds of small programs would take longer. Inside a caller's jit it is inlined.
 @partial(jax.jit, static_argnames="config")
 def _project(
-    gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
+    gaussians: Gaussians,
+    camera: Camera,
+    T_world_cam: jaxlie.SE3,
+    shutter: RollingShutter | None,
+    config: RenderConfig,
 ) -> tuple[Projected, Float[Array, "n 3"]]:
-    def of_rows(rows: _Rows, valid: Array, view: tuple[Camera, jaxlie.SE3]) -> tuple[tuple, Array]:
+    view = (camera, T_world_cam, shutter)
+
+    def of_rows(rows: _Rows, valid: Array, view: _View) -> tuple[tuple, Array]:
         return _project_rows(rows, valid, *view, config)
 
     rows = _Rows(
@@ -99,7 +117,7 @@ def _project(
         opacity_logits=gaussians.opacity_logits,
         sh=gaussians.sh,
     )
-    mapped: tuple[tuple, Array] = map_used_rows(of_rows, rows, gaussians.valid, (camera, T_world_cam))
+    mapped: tuple[tuple, Array] = map_used_rows(of_rows, rows, gaussians.valid, view)
     (centres, whitening, log_opacities, depths, rgb), visible = mapped
     projected = Projected(
         centres=jnp.stack(centres, axis=-1),
@@ -109,6 +127,9 @@ def _project(
         visible=visible,
     )
     return projected, rgb
+
+
+_View = tuple[Camera, jaxlie.SE3, RollingShutter | None]
 
 
 class _Rows(NamedTuple):
@@ -122,7 +143,12 @@ class _Rows(NamedTuple):
 
 
 def _project_rows(
-    rows: _Rows, valid: Bool[Array, " n"], camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
+    rows: _Rows,
+    valid: Bool[Array, " n"],
+    camera: Camera,
+    T_world_cam: jaxlie.SE3,
+    shutter: RollingShutter | None,
+    config: RenderConfig,
 ) -> tuple[tuple[list[Array], list[Array], Array, Array, Array], Bool[Array, " n"]]:
     """Centres, whitening, logarithms of the opacities, depths and RGB; then the mask of the visible."""
     R_cam_world = se3.rotation_matrix(T_world_cam).T
@@ -140,6 +166,8 @@ def _project_rows(
     sh = jnp.where(used[:, None, None], rows.sh, 0)
 
     x, y, z = (dot(row, offset) for row in R_cam_world)
+    if shutter is not None:
+        x, y, z = _when_exposed(x, y, z, camera, shutter)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     m1, m2 = _image_axes(x, y, z, quaternion, scale, camera, R_cam_world)
 
@@ -166,6 +194,20 @@ def _project_rows(
     visible = used & (reach >= 0) & inside[0] & inside[1]
     whitening = [p, -p * uv / vv, 1 / jnp.sqrt(vv)]
     return ([u, v], whitening, log_opacities, z, sh_colours(sh, jnp.stack(offset, axis=-1))), visible
+
+
+def _when_exposed(
+    x: Float[Array, " n"],
+    y: Float[Array, " n"],
+    z: Float[Array, " n"],
+    camera: Camera,
+    shutter: RollingShutter,
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
+    """Points in the camera of the time at which their rows are exposed."""
+    # Rows beyond the image's are exposed never; what reaches in from there belongs to the outermost.
+    places = jnp.clip(row_places(camera.fy * y / z + camera.cy, camera.height), -0.5, 0.5)
+    x, y, moved = carried(jnp.stack([x, y, z]), shutter.twist, -shutter.readout * places)
+    return x, y, jnp.maximum(moved, z / 2)
 
 
 def _columns(vectors: Float[Array, "n d"]) -> list[Array]:

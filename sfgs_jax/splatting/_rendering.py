@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Camera
+from sfgs_jax.sensors import RollingShutter
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians
 from sfgs_jax.splatting._projection import project
@@ -49,6 +50,7 @@ def render(
     colours: Float[Array, "n 3"] | None = None,
     features: Float[Array, "n c"] | None = None,
     *,
+    shutter: RollingShutter | None = None,
     config: RenderConfig = DEFAULT,
 ) -> RenderOutput:
     """Draw the Gaussians as the camera sees them.
@@ -66,6 +68,8 @@ def render(
         background: (3,) RGB behind everything; black where None.
         colours: (N, 3) RGB of the Gaussians, in place of their spherical harmonics.
         features: (N, C) further values to composite, any number of channels.
+        shutter: motion of the camera while its rows are exposed; the pose is that of the middle row. None for
+            an image taken at once.
         config: settings, static.
 
     Raises:
@@ -80,7 +84,7 @@ def render(
     if count == 0:
         gaussians, colours, features = with_a_free_slot((gaussians, colours, features))
     try:
-        return _render(gaussians, camera, T_world_cam, background, colours, features, config=config)
+        return _render(gaussians, camera, T_world_cam, background, colours, features, shutter, config=config)
     except TypeError as error:
         if "custom_vjp" not in str(error):
             raise
@@ -99,10 +103,11 @@ def _render(
     background: Float[Array, "3"] | None,
     colours: Float[Array, "n 3"] | None,
     features: Float[Array, "n c"] | None,
+    shutter: RollingShutter | None,
     *,
     config: RenderConfig,
 ) -> RenderOutput:
-    projected, rgb = project(gaussians, camera, T_world_cam, config=config)
+    projected, rgb = project(gaussians, camera, T_world_cam, shutter, config=config)
     columns = [rgb if colours is None else colours, projected.depths[:, None]]
     raster = rasterize(
         projected,

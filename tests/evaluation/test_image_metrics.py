@@ -8,6 +8,7 @@ from sfgs_jax.splatting import ssim
 
 _H, _W = 20, 24
 
+ALL = np.ones((_H, _W), bool)
 psnrs, ssims = jax.jit(psnr_by_protocol), jax.jit(ssim_by_protocol)
 
 
@@ -32,13 +33,13 @@ def test_psnr_of_known_errors():
 
 def test_equal_images_have_the_largest_figures(rgb, depth):
     for protocol in PROTOCOLS:
-        assert float(psnrs(rgb, rgb, depth)[protocol]) == pytest.approx(100)
-        assert float(ssims(rgb, rgb, depth)[protocol]) == pytest.approx(1)
+        assert float(psnrs(rgb, rgb, depth, ALL)[protocol]) == pytest.approx(100)
+        assert float(ssims(rgb, rgb, depth, ALL)[protocol]) == pytest.approx(1)
 
 
 def test_pixels_without_depth_agree_and_count_in_masked_protocols(rgb, depth):
     """An error of 0.1 everywhere: three quarters of it are left where a quarter is set to zero."""
-    figures = psnrs(rgb + np.float32(0.1), rgb, depth)
+    figures = psnrs(rgb + np.float32(0.1), rgb, depth, ALL)
     assert float(figures["all"]) == pytest.approx(20, abs=1e-4)
     assert float(figures["held_out"]) == pytest.approx(20, abs=1e-4)
     assert float(figures["gs_icp"]) == pytest.approx(20 - 10 * np.log10(0.75), abs=1e-4)
@@ -47,7 +48,7 @@ def test_pixels_without_depth_agree_and_count_in_masked_protocols(rgb, depth):
 
 def test_errors_where_depth_is_missing_count_only_in_unmasked_protocols(rgb, depth):
     rendered = np.where(depth[..., None] > 0, rgb, np.float32(0))
-    quality, structure = psnrs(rendered, rgb, depth), ssims(rendered, rgb, depth)
+    quality, structure = psnrs(rendered, rgb, depth, ALL), ssims(rendered, rgb, depth, ALL)
     for protocol in ("all", "held_out"):
         assert float(quality[protocol]) < 20
         assert float(structure[protocol]) < 0.9
@@ -59,21 +60,47 @@ def test_errors_where_depth_is_missing_count_only_in_unmasked_protocols(rgb, dep
 def test_splatam_averages_over_channels_in_decibels(rgb):
     """Errors of 0.1 in red and 0.01 in green and blue are 20, 40 and 40 dB."""
     error = np.asarray([0.1, 0.01, 0.01], np.float32)
-    figures = psnrs(rgb + error, rgb, np.ones((_H, _W), np.float32))
+    figures = psnrs(rgb + error, rgb, np.ones((_H, _W), np.float32), ALL)
     assert float(figures["splatam"]) == pytest.approx((20 + 40 + 40) / 3, abs=1e-3)
     assert float(figures["gs_icp"]) == pytest.approx(-10 * np.log10((0.01 + 2e-4) / 3), abs=1e-3)
     assert float(figures["all"]) == pytest.approx(float(figures["gs_icp"]), abs=1e-3)
 
 
+def test_pixels_without_depth_do_not_count_in_depth(rgb, depth):
+    error = np.where(depth[..., None] > 0, np.float32(0.1), np.float32(0.5))
+    assert float(psnrs(rgb * 0, rgb * 0 + error, depth, ALL)["depth"]) == pytest.approx(20, abs=1e-4)
+
+
+def test_exposure_is_fitted_to_each_channel(rgb, depth):
+    """A gain and an offset of each channel are taken out, what else differs stays."""
+    gain, offset = np.asarray([0.8, 1.1, 0.9], np.float32), np.asarray([0.05, -0.02, 0.03], np.float32)
+    other = (rgb - offset) / gain
+    assert float(psnrs(other, rgb, depth, ALL)["gs_icp"]) < 30
+    assert float(psnrs(other, rgb, depth, ALL)["gs_icp_exposure"]) > 60
+    assert float(ssims(other, rgb, depth, ALL)["gs_icp_exposure"]) > 0.999
+    stripes = np.where(np.arange(_W)[:, None] % 2, np.float32(0.1), np.float32(-0.1))
+    left = float(psnrs(np.full_like(rgb, 0.5), 0.5 + stripes + 0 * rgb, depth, ALL)["gs_icp_exposure"])
+    assert left == pytest.approx(20 - 10 * np.log10(0.75), abs=1e-3)
+
+
+def test_pixels_beyond_the_lens_count_nowhere(rgb, depth):
+    valid = ALL.copy()
+    valid[:3] = False
+    broken = np.where(valid[..., None], rgb, np.float32(0))
+    for protocol in PROTOCOLS:
+        assert float(psnrs(rgb, broken, depth, valid)[protocol]) == pytest.approx(100)
+        assert float(ssims(rgb, broken, depth, valid)[protocol]) == pytest.approx(1)
+
+
 def test_rendered_colours_are_clipped(depth):
     white = np.ones((_H, _W, 3), np.float32)
-    assert float(psnrs(3 * white, white, depth)["all"]) == pytest.approx(100)
-    assert float(ssims(3 * white, white, depth)["all"]) == pytest.approx(1)
+    assert float(psnrs(3 * white, white, depth, ALL)["all"]) == pytest.approx(100)
+    assert float(ssims(3 * white, white, depth, ALL)["all"]) == pytest.approx(1)
 
 
 def test_ssim_is_of_the_images_with_zeros(rgb, depth, rng):
     noisy = np.clip(rgb + 0.1 * rng.normal(size=rgb.shape), 0, 1).astype(np.float32)
-    figures = ssims(noisy, rgb, depth)
+    figures = ssims(noisy, rgb, depth, ALL)
     mask = (depth > 0)[..., None].astype(np.float32)
     for protocol, weight in (("all", np.float32(1)), ("gs_icp", mask)):
         expected = float(ssim(jnp.asarray(noisy * weight), jnp.asarray(rgb * weight)))
@@ -83,6 +110,7 @@ def test_ssim_is_of_the_images_with_zeros(rgb, depth, rng):
 def test_frames_of_the_protocols():
     keyframes = np.asarray([0, 3, 11])
     members = {name: np.flatnonzero(frames_of(name, 12, keyframes)).tolist() for name in PROTOCOLS}
-    assert members["all"] == members["gs_icp"] == list(range(12))
+    for name in ("all", "depth", "gs_icp", "gs_icp_exposure"):
+        assert members[name] == list(range(12))
     assert members["splatam"] == [0, 4, 9]
     assert members["held_out"] == [1, 2, 4, 5, 6, 7, 8, 9, 10]

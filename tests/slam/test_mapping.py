@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from sfgs_jax import Camera, slam
 from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.mapping import optimise_once, prune, seed
+from sfgs_jax.slam.mapping import insert_view, optimise_once, prune, seed, view_of
 from sfgs_jax.slam.state import grow, move
 from sfgs_jax.splatting import RenderConfig, render
 
@@ -69,6 +70,30 @@ def test_optimisation_brings_the_rendering_closer(seeded, frames):
         losses.append(loss)
     assert losses[-1] < 0.75 * losses[0]
     assert render_psnr(replace(seeded, mapping=mapping), frames[0]) > before + 1.5
+
+
+def test_pixels_beyond_the_lens_get_no_gaussian_and_pull_none(room, frames, config):
+    """Their colour and depth have no influence on the map, whatever they hold."""
+    bare = replace(config, mapping=replace(config.mapping, steps_per_frame=0, steps_per_view=0))
+    valid = np.ones(room.camera.shape, bool)
+    valid[:, :16] = False
+    maps, identity = [], np.asarray([[1, 0, 0, 0, 0, 0, 0]], np.float32)
+    for colour in (0, 1):
+        rgb = np.where(valid[..., None], frames[0].rgb, np.float32(colour))
+        depth = np.where(valid, frames[0].depth, np.float32(1 + colour))
+        frame = replace(frames[0], rgb=rgb, depth=depth, valid=valid)
+        view = view_of(frame, 1, 0, se3.identity(), 0, np.zeros(6, np.float32))
+        mapping = replace(
+            slam.init(room.camera, bare).mapping,
+            keyframe_poses=identity,
+        )
+        mapping, _ = insert_view(mapping, view, room.camera, bare.mapping)
+        mapping, _ = optimise_once(mapping, room.camera, bare.mapping, newest_share=1.0)
+        maps.append(mapping.map.gaussians)
+    for a, b in zip(*map(jax.tree.leaves, maps), strict=True):
+        np.testing.assert_array_equal(a, b)
+    means = np.asarray(maps[0].means[maps[0].valid])
+    assert np.asarray(room.camera.project(jnp.asarray(means)))[:, 0].min() > 14
 
 
 def test_gaussians_out_of_view_keep_their_place_and_their_moments(seeded):

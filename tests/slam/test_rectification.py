@@ -10,7 +10,7 @@ import pytest
 from sfgs_jax import gicp, slam
 from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.geometry import se3
-from sfgs_jax.sensors import SensorTiming
+from sfgs_jax.sensors import SensorTiming, depth_in_time
 from sfgs_jax.slam import frontend
 from sfgs_jax.slam.keyframes import prior_noise, rectified_anew, with_first_motion
 from sfgs_jax.slam.state import Edge, FrameFeatures, Keyframe, Keypoints, empty_graph
@@ -88,6 +88,20 @@ def test_keypoints_get_the_depth_of_their_own_time(recordings, seen, motion):
     before, after = (np.median(abs(np.asarray(k.depth) - truth)) for k in (seen.keypoints, found))
     assert before > 0.004
     assert after < 0.25 * before
+
+
+def test_a_depth_image_is_brought_to_the_time_of_colour(recordings, motion):
+    """Colour has no shutter here, so its time is the frame's."""
+    faulty, ideal = recordings
+    depth, truth = (np.asarray(r[NUMBER].depth) for r in (faulty, ideal))
+    found = np.asarray(jax.jit(depth_in_time)(jnp.asarray(depth), faulty.camera, motion.twist, TIMING))
+    known = (found > 0) & (truth > 0) & (depth > 0)
+    assert known.sum() > 0.9 * np.sum(depth > 0)
+    before, after = (np.median(abs(image - truth)[known]) for image in (depth, found))
+    assert before > 0.004
+    assert after < 0.35 * before
+    still = depth_in_time(jnp.asarray(depth), faulty.camera, jnp.zeros(6), TIMING)
+    np.testing.assert_array_equal(still, depth)
 
 
 def test_a_camera_that_stands_still_changes_nothing(recordings, seen):

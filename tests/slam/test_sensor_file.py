@@ -9,7 +9,7 @@ import pytest
 
 from sfgs_jax import slam
 from sfgs_jax.arrays import InputError
-from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming
+from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming, read_sensors
 from sfgs_jax.slam.run import write_sensors
 
 
@@ -27,7 +27,7 @@ def test_the_next_run_begins_where_the_last_ended(room, config, known, tmp_path)
     both = estimating(config, estimate_timing=True, estimate_depth=True)
     state = slam.init(room.camera, both, known)
     write_sensors(state, tmp_path / "sensors.json")
-    again = slam.init(room.camera, both, slam.read_sensors(tmp_path / "sensors.json"))
+    again = slam.init(room.camera, both, read_sensors(tmp_path / "sensors.json"))
     np.testing.assert_allclose(again.params.timing.vector, known.timing.vector, rtol=1e-6)
     assert again.params.depth_correction is not None
     np.testing.assert_allclose(again.params.depth_correction.offsets, known.depth.offsets, rtol=1e-6)
@@ -65,6 +65,6 @@ def test_another_file_is_refused_in_a_sentence(text, tmp_path):
     path = tmp_path / "sensors.json"
     path.write_text(text)
     with pytest.raises(InputError, match=r"sensors\.json"):
-        slam.read_sensors(path)
+        read_sensors(path)
     with pytest.raises(InputError, match="Cannot read"):
-        slam.read_sensors(tmp_path / "none.json")
+        read_sensors(tmp_path / "none.json")

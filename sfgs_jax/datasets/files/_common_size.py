@@ -136,6 +136,7 @@ class _Resizing:
         self._colour_size = colour_size
         self._size = size
         self._undistortion = undistortion
+        self.valid = None if undistortion is None else undistortion.valid
 
     def __call__(
         self, rgb: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h2 w2"]

@@ -37,6 +37,7 @@ class DepthRegistration:
         self._T_camera_depth = se3.from_matrix(T_camera_depth)
         self._colour_size = colour_size or (camera.width, camera.height)
         self._undistortion = undistortion
+        self.valid = None if undistortion is None else undistortion.valid
 
     def __call__(
         self, rgb: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h2 w2"]

@@ -1,11 +1,12 @@
 """A recording whose frames are pairs of images; every layout on disk becomes one."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets.files._images import ColourImage, DepthImage, decode_colour, decode_depth
@@ -16,11 +17,21 @@ _NUM_PROBED = 10
 # A median depth out of this range, metres, means that the scale is wrong, not that the room is odd.
 _PLAUSIBLE_DEPTH = (0.05, 50.0)
 
-PairRegistration = Callable[
-    [Float[np.ndarray, "h w 3"], Float[np.ndarray, "h2 w2"]],
-    tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]],
-]
-"""Brings a decoded pair of images into one camera; raises FrameError for images of a wrong size."""
+
+@runtime_checkable
+class PairRegistration(Protocol):
+    """Brings a decoded pair of images into one camera."""
+
+    @property
+    def valid(self) -> Bool[np.ndarray, "h w"] | None:
+        """Pixels of the result that the colour camera saw; None if it saw all."""
+        ...
+
+    def __call__(
+        self, rgb: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h2 w2"]
+    ) -> tuple[Float[np.ndarray, "h3 w3 3"], Float[np.ndarray, "h3 w3"]]:
+        """Colour and depth as that camera sees them; raises FrameError for images of a wrong size."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,8 @@ class FileRecording:
         if depth.shape != self.camera.shape:
             expected = f"{self.camera.width}x{self.camera.height}"
             raise FrameError(f"{pair.colour} is {size_text(rgb)}, other than the recording's {expected}.")
-        return Frame(rgb, depth, pair.timestamp, pair.depth_timestamp)
+        valid = None if self.register is None else self.register.valid
+        return Frame(rgb, depth, pair.timestamp, pair.depth_timestamp, valid)
 
 
 def first_readable(

@@ -80,6 +80,10 @@ class _Resize:
         self._colour_size = colour_size
         self._depth_size = depth_size
         self._colour_to_depth = colour_to_depth
+        self.valid = None
+        if colour_to_depth is not None:
+            seen = np.ones(depth_size[::-1], np.float32)
+            self.valid = cv2.warpAffine(seen, colour_to_depth, depth_size, flags=cv2.INTER_LINEAR) == 1
 
     def __call__(
         self, rgb: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h2 w2"]

@@ -68,7 +68,7 @@ def evaluate_images(
     evaluated = np.isin(np.arange(len(recording)), chosen) & np.isin(np.arange(len(recording)), posed.indices)
     members = {name: evaluated & frames_of(name, len(recording), posed.keyframes) for name in PROTOCOLS}
     perceptual = _evenly(members[LPIPS_PROTOCOL], max_lpips_frames)
-    poses = dict(zip(posed.indices.tolist(), posed.poses, strict=True))
+    places = {number: place for place, number in enumerate(posed.indices.tolist())}
     render = MapRenderer(gaussians, recording.camera)
     figures = ImageFigures()
     for place, frame in prefetch(Selection(recording, chosen, max_depth=None)):
@@ -78,12 +78,14 @@ def evaluate_images(
         elif isinstance(frame, FrameError):
             figures.unreadable += 1
         else:
-            image = render(poses[index]).rgb
+            at = places[index]
+            image = render(posed.poses[at], posed.shutter(at)).rgb
+            recorded = (frame.rgb, frame.depth, frame.mask)
             own: list[Protocol] = [name for name in PROTOCOLS if members[name][index]]
-            _append(figures.psnr, own, _psnr_by_protocol(image, frame.rgb, frame.depth))
-            _append(figures.ssim, own, _ssim_by_protocol(image, frame.rgb, frame.depth))
+            _append(figures.psnr, own, _psnr_by_protocol(image, *recorded))
+            _append(figures.ssim, own, _ssim_by_protocol(image, *recorded))
             if lpips_weights is not None and perceptual[index]:
-                distance = _masked_lpips(lpips_weights, image, frame.rgb, frame.depth)
+                distance = _masked_lpips(lpips_weights, image, *recorded)
                 figures.lpips.append(float(distance))
         if progress is not None:
             progress(index + 1)
@@ -116,6 +118,7 @@ def _masked_lpips(
     image: Float[Array, "H W 3"],
     rgb: Float[Array, "H W 3"],
     depth: Float[Array, "H W"],
+    valid: Bool[Array, "H W"],
 ) -> Float[Array, ""]:
-    masked_image, masked_rgb = masked_images(image.clip(0, 1), rgb, depth)
+    masked_image, masked_rgb = masked_images(image.clip(0, 1), rgb, valid & (depth > 0))
     return lpips(weights, masked_image, masked_rgb)

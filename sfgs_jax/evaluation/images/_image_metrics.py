@@ -1,9 +1,13 @@
 """PSNR and SSIM of a rendered image against the recorded one, by the protocols that papers use.
 
 Protocol `all`: every pixel of every frame.
+Protocol `depth`: the pixels with input depth of every frame.
 Protocol `gs_icp`: every frame. Pixels without input depth are set to zero in both images, and count.
+Protocol `gs_icp_exposure`: the same after each rendered image was given the exposure that fits best.
 Protocol `splatam`: the first and every fifth frame, with the same zeros; PSNR is a mean over channels, in dB.
 Protocol `held_out`: every pixel of the frames that were not used for mapping.
+
+Pixels beyond a lens's field of view hold no image; they count as pixels without depth, or not at all.
 
 Pixels that are zero in both images agree, which raises the figures of real recordings. So only figures of one
 protocol can be compared. Figures are means over frames of each frame's figure. SplaTAM prints MS-SSIM; here
@@ -20,8 +24,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.splatting import ssim
 
-Protocol = Literal["all", "gs_icp", "splatam", "held_out"]
-"""Name of a choice of frames and pixels for image metrics; docs/evaluation.md describes the four."""
+Protocol = Literal["all", "depth", "gs_icp", "gs_icp_exposure", "splatam", "held_out"]
+"""Name of a choice of frames and pixels for image metrics; docs/evaluation.md describes them."""
 
 PROTOCOLS: tuple[Protocol, ...] = get_args(Protocol)
 """Names of the protocols."""
@@ -48,21 +52,44 @@ def _decibels(mse: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def masked_images(
-    rendered: Float[Array, "H W 3"], rgb: Float[Array, "H W 3"], depth: Float[Array, "H W"]
+    rendered: Float[Array, "H W 3"], rgb: Float[Array, "H W 3"], mask: Bool[Array, "H W"]
 ) -> tuple[Float[Array, "H W 3"], Float[Array, "H W 3"]]:
-    """Both images with zeros at pixels without recorded depth, as `gs_icp` and `splatam` compare them.
+    """Both images with zeros outside the mask, as `gs_icp` and `splatam` compare them.
 
     Args:
         rendered: image of the map.
         rgb: the recorded image.
-        depth: recorded depth in metres, 0 where missing.
+        mask: pixels with recorded depth.
     """
-    has_depth = (depth > 0)[..., None]
-    return jnp.where(has_depth, rendered, 0), jnp.where(has_depth, rgb, 0)
+    return jnp.where(mask[..., None], rendered, 0), jnp.where(mask[..., None], rgb, 0)
+
+
+def with_exposure_of(
+    rendered: Float[Array, "H W 3"], rgb: Float[Array, "H W 3"], mask: Bool[Array, "H W"]
+) -> Float[Array, "H W 3"]:
+    """A rendered image with the gain and offset of each channel that bring it closest to the recorded one.
+
+    Args:
+        rendered: image of the map.
+        rgb: the recorded image.
+        mask: pixels to fit.
+    """
+    weights = mask[..., None].astype(rendered.dtype)
+    count = jnp.maximum(jnp.sum(weights), 1)
+    means = [jnp.sum(weights * image, axis=(0, 1), keepdims=True) / count for image in (rendered, rgb)]
+    off = weights * (rendered - means[0])
+    variance = jnp.sum(off**2, axis=(0, 1), keepdims=True)
+    covariance = jnp.sum(off * (rgb - means[1]), axis=(0, 1), keepdims=True)
+    # An image of one colour has no gain to find.
+    gain = jnp.where(variance > 0, covariance / jnp.where(variance > 0, variance, 1), 1)
+    return jnp.clip(gain * (rendered - means[0]) + means[1], 0, 1)
 
 
 def psnr_by_protocol(
-    rendered: Float[Array, "H W 3"], rgb: Float[Array, "H W 3"], depth: Float[Array, "H W"]
+    rendered: Float[Array, "H W 3"],
+    rgb: Float[Array, "H W 3"],
+    depth: Float[Array, "H W"],
+    valid: Bool[Array, "H W"],
 ) -> dict[Protocol, Float[Array, ""]]:
     """PSNR of one frame in dB, by protocol; `frames_of` says which frames belong to a protocol.
 
@@ -70,26 +97,49 @@ def psnr_by_protocol(
         rendered: image of the map at the frame's pose; values outside [0, 1] are clipped.
         rgb: the recorded image in [0, 1].
         depth: recorded depth in metres, 0 where missing.
+        valid: pixels that hold an image.
     """
-    rendered = jnp.clip(rendered, 0, 1)
-    masked_rendered, masked_rgb = masked_images(rendered, rgb, depth)
-    channel_mse = jnp.mean((masked_rendered - masked_rgb) ** 2, axis=(0, 1))
-    whole = psnr(rendered, rgb)
+    rendered, seen = jnp.clip(rendered, 0, 1), valid & (depth > 0)
+    exposed = with_exposure_of(rendered, rgb, seen)
+    channel_mse, exposed_mse = (
+        jnp.mean(jnp.where(seen[..., None], image - rgb, 0) ** 2, axis=(0, 1))
+        for image in (rendered, exposed)
+    )
+    whole = _decibels(_mean_where(valid, (rendered - rgb) ** 2))
     return {
         "all": whole,
+        "depth": _decibels(_mean_where(seen, (rendered - rgb) ** 2)),
         "gs_icp": _decibels(jnp.mean(channel_mse)),
+        "gs_icp_exposure": _decibels(jnp.mean(exposed_mse)),
         "splatam": jnp.mean(_decibels(channel_mse)),
         "held_out": whole,
     }
 
 
+def _mean_where(mask: Bool[Array, "H W"], values: Float[Array, "H W c"]) -> Float[Array, ""]:
+    """Mean over the mask and the channels; 0 if it is empty."""
+    count = values.shape[-1] * jnp.sum(mask, dtype=values.dtype)
+    return jnp.sum(jnp.where(mask[..., None], values, 0)) / jnp.maximum(count, 1)
+
+
 def ssim_by_protocol(
-    rendered: Float[Array, "H W 3"], rgb: Float[Array, "H W 3"], depth: Float[Array, "H W"]
+    rendered: Float[Array, "H W 3"],
+    rgb: Float[Array, "H W 3"],
+    depth: Float[Array, "H W"],
+    valid: Bool[Array, "H W"],
 ) -> dict[Protocol, Float[Array, ""]]:
     """SSIM of one frame, by protocol. Arguments as of `psnr_by_protocol`."""
-    rendered = jnp.clip(rendered, 0, 1)
-    whole, masked = ssim(rendered, rgb), ssim(*masked_images(rendered, rgb, depth))
-    return {"all": whole, "gs_icp": masked, "splatam": masked, "held_out": whole}
+    rendered, seen = jnp.clip(rendered, 0, 1), valid & (depth > 0)
+    whole, masked = ssim(rendered, rgb, valid), ssim(*masked_images(rendered, rgb, seen))
+    exposed = ssim(*masked_images(with_exposure_of(rendered, rgb, seen), rgb, seen))
+    return {
+        "all": whole,
+        "depth": ssim(rendered, rgb, seen),
+        "gs_icp": masked,
+        "gs_icp_exposure": exposed,
+        "splatam": masked,
+        "held_out": whole,
+    }
 
 
 def frames_of(
@@ -103,7 +153,7 @@ def frames_of(
         keyframes: indices of the frames that were used for mapping.
     """
     match protocol:
-        case "all" | "gs_icp":
+        case "all" | "depth" | "gs_icp" | "gs_icp_exposure":
             return np.ones(num_frames, bool)
         case "splatam":
             index = np.arange(num_frames)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.sensors import RollingShutter
 from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, pair_capacity, render
 
 # Views differ. With this much more room than the first view needs, few of the others compile anew.
@@ -26,14 +27,21 @@ class MapRenderer:
         self._gaussians, self._camera = gaussians, camera
         self._config: RenderConfig | None = None
 
-    def __call__(self, T_world_cam: Float[np.ndarray, "4 4"]) -> RenderOutput:
-        """The whole image at a pose; a view that needs more room than the earlier ones compiles anew."""
+    def __call__(
+        self, T_world_cam: Float[np.ndarray, "4 4"], shutter: RollingShutter | None = None
+    ) -> RenderOutput:
+        """The whole image at a pose; a view that needs more room than the earlier ones compiles anew.
+
+        Args:
+            T_world_cam: pose of the camera.
+            shutter: its motion while the rows are exposed; None for an image taken at once.
+        """
         pose = se3.from_matrix(T_world_cam)
         self._config = self._config or self._room_for(pose)
-        output = _render(self._gaussians, self._camera, pose, self._config)
+        output = _render(self._gaussians, self._camera, pose, shutter, self._config)
         if int(output.overflow):
             self._config = self._room_for(pose)
-            output = _render(self._gaussians, self._camera, pose, self._config)
+            output = _render(self._gaussians, self._camera, pose, shutter, self._config)
         return output
 
     def _room_for(self, pose: jaxlie.SE3) -> RenderConfig:
@@ -43,6 +51,10 @@ class MapRenderer:
 
 @partial(jax.jit, static_argnames=("config",))
 def _render(
-    gaussians: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
+    gaussians: Gaussians,
+    camera: Camera,
+    T_world_cam: jaxlie.SE3,
+    shutter: RollingShutter | None,
+    config: RenderConfig,
 ) -> RenderOutput:
-    return render(gaussians, camera, T_world_cam, config=config)
+    return render(gaussians, camera, T_world_cam, shutter=shutter, config=config)

@@ -62,7 +62,7 @@ def compared_views(
             frame = recording[index]
         except FrameError:
             continue
-        output = jax.device_get(render(posed.poses[place]))
+        output = jax.device_get(render(posed.poses[place], posed.shutter(place)))
         rendered = np.clip(output.rgb, 0, 1)
         views.append(
             ComparedView(

@@ -9,7 +9,9 @@ from sfgs_jax.evaluation.report._html import foldable_values, section, table
 
 _PROTOCOL_NOTES = {
     "all": "every pixel of every frame",
+    "depth": "the pixels with input depth of every frame",
     "gs_icp": "every frame; pixels without input depth are zero in both images (GS-ICP-SLAM)",
+    "gs_icp_exposure": "the same after gain and offset of each frame were fitted to the recorded image",
     "splatam": "the first and every fifth frame, masked the same way (SplaTAM)",
     "held_out": "every pixel of the frames that were not used for mapping",
 }
@@ -30,6 +32,7 @@ class _Headline:
 _HEADLINES = (
     _Headline("ATE RMSE", ("ate", "rmse_m"), "cm", 2, factor=100.0, note="over all frames"),
     _Headline("PSNR", ("psnr", "all"), "dB", 2, note="every pixel"),
+    _Headline("PSNR gs_icp", ("psnr", "gs_icp"), "dB", 2, note="pixels without depth are zero in both"),
     _Headline("SSIM", ("ssim", "all"), "", 3, note="every pixel"),
     _Headline("LPIPS", ("lpips_squeeze", "splatam"), "", 3, note="SqueezeNet, lower is better"),
     _Headline("Frames tracked", ("frames", "tracked"), "", 0),

@@ -7,12 +7,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
-from jaxtyping import Array, Bool, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera
+from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time
 from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
 from sfgs_jax.slam.mapping._seeding import uncovered
 from sfgs_jax.slam.state._gaussian_map import GaussianMap, Parameters, parameters, with_parameters
+from sfgs_jax.slam.state._map_state import View
 from sfgs_jax.splatting import RenderConfig, RenderOutput, l1, render, ssim
 
 _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
@@ -21,7 +23,11 @@ _MIN_ALPHA = 0.5
 
 
 def mapping_loss(
-    out: RenderOutput, rgb: Float[Array, "h w 3"], depth: Float[Array, "h w"], config: OptimisationConfig
+    out: RenderOutput,
+    rgb: Float[Array, "h w 3"],
+    depth: Float[Array, "h w"],
+    valid: Bool[Array, "h w"],
+    config: OptimisationConfig,
 ) -> Float[Array, ""]:
     """Loss of GS-ICP-SLAM: (1 - w) L1 + w (1 - SSIM) + w_depth L1(depth), the depth where it is measured.
 
@@ -29,24 +35,28 @@ def mapping_loss(
         out: the map as the view's camera sees it.
         rgb: the view's colours in [0, 1].
         depth: of the view, metres; 0 where missing.
+        valid: pixels that hold colour.
         config: weights.
     """
-    colour = (1 - config.ssim_weight) * l1(out.rgb, rgb) + config.ssim_weight * (1 - ssim(out.rgb, rgb))
+    similarity = ssim(out.rgb, rgb, valid)
+    colour = (1 - config.ssim_weight) * l1(out.rgb, rgb, valid) + config.ssim_weight * (1 - similarity)
     measured = (depth > 0) & (out.alpha > _MIN_ALPHA)
     return colour + config.depth_weight * l1(out.depth, depth, measured)
 
 
 class MapParams(eqx.Module):
-    """Parameters of a map step; all but the camera are static.
+    """Parameters of a map step; all but the camera and its times are static.
 
     Attributes:
         camera: intrinsics of the views.
+        timing: times of the camera's rows; None if images count as taken at once.
         config: loss and learning rates.
         seeding: settings that say where the map lacks surface.
         pair_capacity: pairs of tile and Gaussian that a rendering has room for.
     """
 
     camera: Camera
+    timing: SensorTiming | None
     config: OptimisationConfig = eqx.field(static=True)
     seeding: SeedingConfig = eqx.field(static=True)
     pair_capacity: int = eqx.field(static=True)
@@ -70,13 +80,24 @@ class MapStep(NamedTuple):
 
 
 @jax.jit
-def map_step(
-    params: MapParams,
-    gaussian_map: GaussianMap,
-    rgb: UInt8[Array, "h w 3"],
-    depth: Float[Array, "h w"],
-    T_world_cam: jaxlie.SE3,
-) -> MapStep:
+def seen_by(
+    view: View, camera: Camera, timing: SensorTiming | None
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"]]:
+    """Colour of a view in [0, 1], and its depth when the same rows of colour were exposed.
+
+    Args:
+        view: the view.
+        camera: its intrinsics.
+        timing: times of its rows; None if its images count as taken at once.
+    """
+    depth = jnp.asarray(view.depth)
+    if timing is not None:
+        depth = depth_in_time(depth, camera, jnp.asarray(view.twist), timing)
+    return jnp.asarray(view.rgb, jnp.float32) / 255, depth
+
+
+@jax.jit
+def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3) -> MapStep:
     """One step of Adam on the Gaussians that a view sees; a pure function, compiled once per map capacity.
 
     Each Gaussian counts its own steps. One that was set late starts with Adam's bias correction, and one out
@@ -86,17 +107,19 @@ def map_step(
     Args:
         params: parameters of mapping.
         gaussian_map: before the step.
-        rgb: the view's colours, 0 to 255.
-        depth: of the view, metres; 0 where missing.
-        T_world_cam: pose of the view.
+        view: images to be like.
+        T_world_cam: its pose when colour's middle row was exposed.
     """
-    colours = rgb.astype(jnp.float32) / 255
+    rgb, depth = seen_by(view, params.camera, params.timing)
+    shutter = None
+    if params.timing is not None:
+        shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
     config = RenderConfig(pair_capacity=params.pair_capacity)
 
     def loss_of(values: Parameters) -> tuple[Array, tuple[Array, Array]]:
         gaussians = with_parameters(gaussian_map.gaussians, values)
-        out = render(gaussians, params.camera, T_world_cam, config=config)
-        loss = mapping_loss(out, colours, depth, params.config)
+        out = render(gaussians, params.camera, T_world_cam, shutter=shutter, config=config)
+        loss = mapping_loss(out, rgb, depth, jnp.asarray(view.valid), params.config)
         return loss, (uncovered(out, depth, params.seeding), out.overflow)
 
     values = parameters(gaussian_map.gaussians)

@@ -2,15 +2,15 @@
 
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.mapping._map_step import MapParams, map_step, prune
+from sfgs_jax.slam.mapping._map_step import MapParams, map_step, prune, seen_by
 from sfgs_jax.slam.mapping._seeding import seed
 from sfgs_jax.slam.state._gaussian_map import grow, move
 from sfgs_jax.slam.state._map_state import MapState, View
@@ -38,7 +38,7 @@ def map_frame(
     """
     config, camera, loss = state.config.mapping, state.mapping_camera, float("nan")
     with stages("view"):
-        mapping = follow_keyframes(mapping, state.graph.poses)
+        mapping = follow_keyframes(mapping, state.graph.poses, state.row_times)
         if view is not None:
             mapping, loss = insert_view(mapping, view, camera, config)
     with stages("mapping"):
@@ -50,17 +50,20 @@ def map_frame(
     return mapping, loss
 
 
-def follow_keyframes(mapping: MapState, keyframe_poses: Float[np.ndarray, "n 7"]) -> MapState:
+def follow_keyframes(
+    mapping: MapState, keyframe_poses: Float[np.ndarray, "n 7"], times: Float[np.ndarray, "3"] | None
+) -> MapState:
     """The map where the keyframes are now: each Gaussian moves with its keyframe.
 
     Args:
         mapping: before.
         keyframe_poses: (n, 7) `T_world_cam` of the keyframes by now, as wxyz_xyz.
+        times: (3,) of the camera's rows by now, as `MapState.times`.
     """
     old = mapping.keyframe_poses
     if not np.array_equal(old, keyframe_poses[: len(old)]):
         mapping = replace(mapping, map=move(mapping.map, old, keyframe_poses[: len(old)]))
-    return replace(mapping, keyframe_poses=keyframe_poses)
+    return replace(mapping, keyframe_poses=keyframe_poses, times=times)
 
 
 def insert_view(
@@ -81,8 +84,8 @@ def insert_view(
     """
     stepped, missing, loss = step_on_view(mapping, view, camera, config)
     mapping = stepped if config.steps_per_view else replace(mapping, pair_capacity=stepped.pair_capacity)
-    depth, T_world_cam = jnp.asarray(view.depth), _pose(view, mapping)
-    rgb, keyframe = _colours(view.rgb), jnp.asarray(view.keyframe, jnp.int32)
+    T_world_cam, keyframe = _pose(view, mapping), jnp.asarray(view.keyframe, jnp.int32)
+    rgb, depth = seen_by(view, camera, _timing(mapping))
     while True:
         seeded, dropped = seed(
             mapping.map, rgb, depth, missing, camera, T_world_cam, keyframe, config.seeding
@@ -138,8 +141,10 @@ def step_on_view(
     """
     T_world_cam = _pose(view, mapping)
     while True:
-        params = MapParams(camera, config.optimisation, config.seeding, mapping.pair_capacity)
-        done = map_step(params, mapping.map, jnp.asarray(view.rgb), jnp.asarray(view.depth), T_world_cam)
+        params = MapParams(
+            camera, _timing(mapping), config.optimisation, config.seeding, mapping.pair_capacity
+        )
+        done = map_step(params, mapping.map, view, T_world_cam)
         if not int(done.overflow):
             break
         need = pair_capacity(mapping.map.gaussians, camera, T_world_cam, headroom=_HEADROOM)
@@ -156,6 +161,5 @@ def _pose(view: View, mapping: MapState) -> jaxlie.SE3:
     return se3.compose(keyframe, view.T_keyframe_cam)
 
 
-@jax.jit
-def _colours(rgb: jax.Array) -> jax.Array:
-    return rgb.astype(jnp.float32) / 255
+def _timing(mapping: MapState) -> SensorTiming | None:
+    return None if mapping.times is None else SensorTiming(*mapping.times)

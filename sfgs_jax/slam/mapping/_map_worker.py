@@ -19,6 +19,8 @@ from sfgs_jax.slam.state._slam_state import SlamState
 from sfgs_jax.slam.state._step_info import Stages
 
 _T = TypeVar("_T")
+_Keyframes = tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, "3"] | None]
+"""Poses of the keyframes and times of the rows, as `follow_keyframes` takes them."""
 
 Spill = Callable[[MapState], MapState]
 """Puts the images of old views on disk; the identity keeps them in memory."""
@@ -116,7 +118,7 @@ class ThreadedMapWorker:
         self._stages, self._spill = stages, spill
         self._mapping = state.mapping
         self._changed = threading.Condition()
-        self._keyframe_poses = state.graph.poses
+        self._keyframes = (state.graph.poses, state.row_times)
         self._keyframe_views: deque[View] = deque()
         self._other_views: deque[View] = deque(maxlen=max_views_waiting)
         self._idle, self._ended = True, False
@@ -152,7 +154,7 @@ class ThreadedMapWorker:
         if self._failure is not None:
             raise self._failure
         with self._changed:
-            self._keyframe_poses = state.graph.poses
+            self._keyframes = (state.graph.poses, state.row_times)
             if view is not None:
                 # Keyframes show what the map lacks, so they go first.
                 is_keyframe = state.graph.keyframes[view.keyframe].frame == view.frame
@@ -182,15 +184,15 @@ class ThreadedMapWorker:
             while True:
                 with self._changed:
                     self._changed.wait_for(self._may_begin)
-                    poses = self._keyframe_poses
+                    keyframes = self._keyframes
                     waiting = self._keyframe_views or self._other_views
                     view = waiting.popleft() if waiting else None
                 if view is not None:
-                    self._insert(view, poses)
+                    self._insert(view, keyframes)
                 elif self._ended:
                     return
                 else:
-                    self._optimise(poses)
+                    self._optimise(keyframes)
         except BaseException as error:
             self._failure = error
 
@@ -199,17 +201,17 @@ class ThreadedMapWorker:
             return True
         return self._idle and bool(self._keyframe_views or self._other_views or self._mapping.views)
 
-    def _insert(self, view: View, keyframe_poses: Float[np.ndarray, "n 7"]) -> None:
+    def _insert(self, view: View, keyframes: _Keyframes) -> None:
         with self._stages("view"):
-            mapping = follow_keyframes(self._mapping, keyframe_poses)
+            mapping = follow_keyframes(self._mapping, *keyframes)
             mapping, _ = insert_view(mapping, view, self._camera, self._config.mapping)
             self._mapping = self._spill(mapping)
 
-    def _optimise(self, keyframe_poses: Float[np.ndarray, "n 7"]) -> None:
+    def _optimise(self, keyframes: _Keyframes) -> None:
         config = self._config.mapping
         with self._stages("mapping"):
             self._mapping, _ = optimise_once(
-                follow_keyframes(self._mapping, keyframe_poses),
+                follow_keyframes(self._mapping, *keyframes),
                 self._camera,
                 config,
                 newest_share=config.newest_share,

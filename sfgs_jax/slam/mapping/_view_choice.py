@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Frame, clean_depth, downscale_depth, downscale_rgb
 from sfgs_jax.slam.state._map_state import View
@@ -33,7 +33,14 @@ def view_is_due(
     return not ordinary_between or 2 * since >= interval
 
 
-def view_of(frame: Frame, factor: int, keyframe: int, T_keyframe_cam: jaxlie.SE3, number: int) -> View:
+def view_of(
+    frame: Frame,
+    factor: int,
+    keyframe: int,
+    T_keyframe_cam: jaxlie.SE3,
+    number: int,
+    twist: Float[Array | np.ndarray, "6"],
+) -> View:
     """A view of a frame at the mapping resolution.
 
     Args:
@@ -42,12 +49,22 @@ def view_of(frame: Frame, factor: int, keyframe: int, T_keyframe_cam: jaxlie.SE3
         keyframe: number of the keyframe that the view belongs to.
         T_keyframe_cam: its pose there.
         number: of the frame.
+        twist: motion of the camera per second in its own frame; zeros where it is not known.
     """
-    rgb, depth = _reduce(frame.rgb, frame.depth, factor)
-    return View(rgb, depth, keyframe, T_keyframe_cam, number)
+    rgb, depth, valid = _reduce(frame.rgb, frame.depth, frame.mask, factor)
+    return View(rgb, depth, valid, twist, keyframe, T_keyframe_cam, number)
 
 
-@partial(jax.jit, static_argnums=2)
-def _reduce(rgb: Array | np.ndarray, depth: Array | np.ndarray, factor: int) -> tuple[jax.Array, jax.Array]:
+@partial(jax.jit, static_argnums=3)
+def _reduce(
+    rgb: Array | np.ndarray, depth: Array | np.ndarray, valid: Array | np.ndarray, factor: int
+) -> tuple[Array, Array, Array]:
     small, (depth, _) = downscale_rgb(jnp.asarray(rgb), factor), clean_depth(jnp.asarray(depth))
-    return jnp.round(small * 255).astype(jnp.uint8), downscale_depth(depth, factor)
+    h, w, _ = small.shape
+    blocks = jnp.asarray(valid)[: h * factor, : w * factor].reshape(h, factor, w, factor)
+    whole = blocks.all(axis=(1, 3))
+    return (
+        jnp.round(small * 255).astype(jnp.uint8),
+        jnp.where(whole, downscale_depth(depth, factor), 0),
+        whole,
+    )

@@ -11,7 +11,6 @@ from sfgs_jax.slam.run._outputs import STORAGE as STORAGE
 from sfgs_jax.slam.run._outputs import prepare_folder as prepare_folder
 from sfgs_jax.slam.run._outputs import write_run as write_run
 from sfgs_jax.slam.run._outputs import write_trajectories as write_trajectories
-from sfgs_jax.slam.run._sensor_file import read_sensors as read_sensors
 from sfgs_jax.slam.run._sensor_file import write_sensors as write_sensors
 from sfgs_jax.slam.run._stopwatch import Stopwatch as Stopwatch
 from sfgs_jax.slam.run._storage import FORMAT_VERSION as FORMAT_VERSION

@@ -253,7 +253,7 @@ def _end_mapping(run: Run, worker: MapWorker) -> None:
     """The state with the worker's map, where the keyframes are now."""
     mapping = worker.stop()
     if run.state.graph.keyframes:
-        mapping = follow_keyframes(mapping, run.state.graph.poses)
+        mapping = follow_keyframes(mapping, run.state.graph.poses, run.state.row_times)
     run.state = replace(run.state, mapping=mapping)
 
 

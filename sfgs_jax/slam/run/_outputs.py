@@ -13,8 +13,9 @@ import jax
 
 from sfgs_jax.arrays import InputError, write_atomically
 from sfgs_jax.geometry import format_covariances, format_tum
+from sfgs_jax.sensors import SENSOR_FILE
 from sfgs_jax.slam.run._driver import Run
-from sfgs_jax.slam.run._sensor_file import SENSOR_FILE, write_sensors
+from sfgs_jax.slam.run._sensor_file import write_sensors
 from sfgs_jax.splatting import save_ply
 
 COVARIANCE_FILE = "trajectory_covariance.txt"

@@ -25,7 +25,7 @@ from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
 from sfgs_jax.slam.state import Adjustment, Edge, Keyframe, MapState, SlamState, View
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 6
+FORMAT_VERSION = 7
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -48,7 +48,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
     for i, keyframe in enumerate(state.graph.keyframes):
         _write_once(_keyframe_file(folder, i, keyframe), keyframe.features)
     for i, view in enumerate(state.mapping.views):
-        _write_once(_image_file(folder, "view", i), (view.rgb, view.depth))
+        _write_once(_image_file(folder, "view", i), _images(view))
     counts = {
         "keyframes": len(state.graph.keyframes),
         "edges": len(state.graph.edges),
@@ -101,14 +101,13 @@ def load(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -
         replace(keyframe, features=_read_images(_keyframe_file(folder, i, keyframe), shapes))
         for i, keyframe in enumerate(rest.graph.keyframes)
     )
-    views = []
-    for i, view in enumerate(rest.mapping.views):
-        rgb, depth = _read_images(_image_file(folder, "view", i), (0, 0))
-        views.append(replace(view, rgb=rgb, depth=depth))
+    views = tuple(
+        _with_images(view, _image_file(folder, "view", i)) for i, view in enumerate(rest.mapping.views)
+    )
     return replace(
         rest,
         graph=replace(rest.graph, keyframes=keyframes),
-        mapping=replace(rest.mapping, views=tuple(views)),
+        mapping=replace(rest.mapping, views=views),
     )
 
 
@@ -139,10 +138,18 @@ def spill_views(mapping: MapState, folder: Path, kept: int) -> MapState:
     views = list(mapping.views)
     for i in _in_memory(views, kept, lambda v: v.rgb):
         path = _image_file(folder, "view", i)
-        _write_once(path, (views[i].rgb, views[i].depth))
-        rgb, depth = _read_images(path, (0, 0))
-        views[i] = replace(views[i], rgb=rgb, depth=depth)
+        _write_once(path, _images(views[i]))
+        views[i] = _with_images(views[i], path)
     return replace(mapping, views=tuple(views))
+
+
+def _images(view: View) -> tuple[Any, Any, Any]:
+    return view.rgb, view.depth, view.valid
+
+
+def _with_images(view: View, path: Path) -> View:
+    rgb, depth, valid = _read_images(path, (0, 0, 0))
+    return replace(view, rgb=rgb, depth=depth, valid=valid)
 
 
 def _in_memory(items: list[Any], kept: int, leaf: Any) -> list[int]:
@@ -227,7 +234,8 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     keyframe = _bare_keyframe(
         Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, motion[:6], motion[:3], 0)
     )
-    view = _bare_view(View(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32), 0, se3.identity(), 0))
+    none = np.zeros((0, 0), np.float32)
+    view = View(np.zeros((0, 0, 3), np.uint8), none, none > 0, motion[:6], 0, se3.identity(), 0)
     graph = replace(
         state.graph,
         keyframes=(keyframe,) * counts["keyframes"],
@@ -236,7 +244,9 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
         candidates=(edge,) * counts["candidates"],
         adjustment=_blank_adjustment() if counts["adjustments"] else None,
     )
-    return replace(state, graph=graph, mapping=replace(state.mapping, views=(view,) * counts["views"]))
+    return replace(
+        state, graph=graph, mapping=replace(state.mapping, views=(_bare_view(view),) * counts["views"])
+    )
 
 
 def _blank_adjustment() -> Adjustment:
@@ -251,7 +261,7 @@ def _bare_keyframe(keyframe: Keyframe) -> Keyframe:
 
 
 def _bare_view(view: View) -> View:
-    return eqx.tree_at(lambda v: (v.rgb, v.depth), view, (None, None))
+    return eqx.tree_at(_images, view, (None, None, None))
 
 
 def _like(value: np.ndarray, kind: Any) -> Any:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Bool, Float, UInt8
 
 from sfgs_jax.arrays import pytree
 from sfgs_jax.slam.config import MappingConfig
@@ -19,6 +19,8 @@ class View:
     Attributes:
         rgb: (h, w, 3) colours, 0 to 255.
         depth: (h, w) metres, 0 where missing.
+        valid: (h, w) pixels that hold an image.
+        twist: (6,) motion of the camera per second in its own frame; zeros where it is not known.
         keyframe: number of the keyframe that it belongs to.
         T_keyframe_cam: its pose there.
         frame: its number in its source.
@@ -26,6 +28,8 @@ class View:
 
     rgb: UInt8[Array | np.ndarray, "h w 3"]
     depth: Float[Array | np.ndarray, "h w"]
+    valid: Bool[Array | np.ndarray, "h w"]
+    twist: Float[Array | np.ndarray, "6"]
     keyframe: int
     T_keyframe_cam: jaxlie.SE3
     frame: int
@@ -40,6 +44,8 @@ class MapState:
         map: the Gaussians and their optimiser.
         views: images that the map is optimised against, in the order in which they were inserted.
         keyframe_poses: (n, 7) `T_world_cam` of the keyframes that the Gaussians agree with, as wxyz_xyz.
+        times: (3,) of the camera's rows as they were last estimated, in the order of `SensorTiming`, seconds;
+            None if images count as taken at once.
         num_steps: map steps done.
         pair_capacity: pairs of tile and Gaussian that a rendering has room for.
         dropped_seeds: Gaussians for which the map had no room.
@@ -48,6 +54,7 @@ class MapState:
     map: GaussianMap
     views: tuple[View, ...]
     keyframe_poses: Float[np.ndarray, "n 7"]
+    times: Float[np.ndarray, "3"] | None
     num_steps: int
     pair_capacity: int
     dropped_seeds: int
@@ -58,16 +65,18 @@ class MapState:
         return int(np.sum(self.map.gaussians.valid))
 
 
-def empty_map_state(config: MappingConfig) -> MapState:
+def empty_map_state(config: MappingConfig, *, timed: bool) -> MapState:
     """The map before the first frame.
 
     Args:
         config: settings.
+        timed: whether the times of the camera's rows are estimated.
     """
     return MapState(
         map=empty_map(config.capacity),
         views=(),
         keyframe_poses=np.zeros((0, 7), np.float32),
+        times=np.zeros(3, np.float32) if timed else None,
         num_steps=0,
         pair_capacity=config.pair_capacity,
         dropped_seeds=0,

@@ -56,6 +56,12 @@ class SlamState:
         return mapping_camera(self.camera, self.config.mapping)
 
     @property
+    def row_times(self) -> Float[np.ndarray, "3"] | None:
+        """Times of the camera's rows as estimated, in the order of `SensorTiming`; None if they are not."""
+        timed = self.config.tracking.estimate_timing
+        return np.asarray(self.tracker.last_motion.timing.vector) if timed else None
+
+    @property
     def T_world_cam(self) -> jaxlie.SE3:
         """Pose of the newest tracked frame; the identity before the first."""
         return self.tracker.T_world_cam
