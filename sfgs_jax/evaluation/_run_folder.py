@@ -101,7 +101,7 @@ def _twists(trajectory: Trajectory) -> Float[np.ndarray, "n 6"]:
     before, after = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
     moved = np.linalg.inv(trajectory.poses[before]) @ trajectory.poses[after]
     seconds = trajectory.timestamps[after] - trajectory.timestamps[before]
-    return np.asarray(se3.log(se3.from_matrix(moved)), float) / seconds[:, None]
+    return se3.logs_of(moved) / seconds[:, None]
 
 
 def _frames_at(
