@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from sfgs_jax.arrays import FrameError, InputError
-from sfgs_jax.evaluation import evaluate_run
+from sfgs_jax.evaluation import PROTOCOLS, evaluate_run
 from sfgs_jax.geometry import Trajectory, format_tum, read_tum
+
+
+def frames_by_protocol(every, splatam, held_out):
+    """Counts of frames, where most protocols take every frame that was evaluated."""
+    return dict.fromkeys(PROTOCOLS, every) | {"splatam": splatam, "held_out": held_out}
 
 
 @pytest.fixture
@@ -27,10 +32,10 @@ def test_a_run_that_is_its_own_recording_is_exact(run):
     assert metrics["ate"]["rmse_m"] < 1e-8
     assert metrics["ate"]["num_pairs"] == 11
     assert metrics["rpe"]["trans_m"] < 1e-8
-    assert set(metrics["psnr"]) == set(metrics["ssim"]) == {"all", "gs_icp", "splatam", "held_out"}
+    assert set(metrics["psnr"]) == set(metrics["ssim"]) == set(PROTOCOLS)
     assert min(metrics["psnr"].values()) > 80
     assert min(metrics["ssim"].values()) > 0.9999
-    assert metrics["evaluated"]["frames"] == {"all": 11, "gs_icp": 11, "splatam": 3, "held_out": 8}
+    assert metrics["evaluated"]["frames"] == frames_by_protocol(11, 3, 8)
     assert "Cannot read the LPIPS weights" in metrics["unavailable"]["lpips_squeeze"]
 
 
@@ -79,7 +84,7 @@ def test_lost_and_unreadable_frames_are_left_out_and_counted(run):
     frames = list(recording.frames)
     frames[3] = FrameError("truncated")
     metrics = evaluate_run(folder, dataclasses.replace(recording, frames=frames))
-    assert metrics["evaluated"]["frames"] == {"all": 8, "gs_icp": 8, "splatam": 2, "held_out": 6}
+    assert metrics["evaluated"]["frames"] == frames_by_protocol(8, 2, 6)
     assert metrics["evaluated"]["without_pose"] == 2
     assert metrics["evaluated"]["unreadable"] == 1
     assert metrics["psnr"]["all"] > 80
@@ -90,7 +95,7 @@ def test_a_subset_is_stated(run):
     metrics = evaluate_run(folder, recording, every=3)
     assert metrics["evaluated"]["every"] == 3
     # Frames 2, 5 and 8, of which 5 is a keyframe and none is SplaTAM's.
-    assert metrics["evaluated"]["frames"] == {"all": 3, "gs_icp": 3, "splatam": 0, "held_out": 2}
+    assert metrics["evaluated"]["frames"] == frames_by_protocol(3, 0, 2)
     assert "psnr.splatam" in metrics["unavailable"]
     with pytest.raises(InputError, match="at least 1"):
         evaluate_run(folder, recording, every=0)
@@ -101,7 +106,7 @@ def test_long_recordings_are_sampled_as_splatam_does(run):
     assert evaluate_run(folder, recording)["evaluated"]["every"] == 1
     metrics = evaluate_run(folder, recording, max_pixels=3 * 64 * 48)
     assert metrics["evaluated"]["every"] == 5
-    assert metrics["evaluated"]["frames"] == {"all": 2, "gs_icp": 2, "splatam": 2, "held_out": 2}  # 4 and 9
+    assert metrics["evaluated"]["frames"] == frames_by_protocol(2, 2, 2)  # 4 and 9
 
 
 def test_protocols_without_frames_are_unavailable(run):
