@@ -101,7 +101,8 @@ def _twists(trajectory: Trajectory) -> Float[np.ndarray, "n 6"]:
     before, after = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
     moved = np.linalg.inv(trajectory.poses[before]) @ trajectory.poses[after]
     seconds = trajectory.timestamps[after] - trajectory.timestamps[before]
-    return se3.logs_of(moved) / seconds[:, None]
+    # Frames of one time, by stamps to the microsecond, tell no motion.
+    return se3.logs_of(moved) * np.divide(1, seconds, out=np.zeros(count), where=seconds > 0)[:, None]
 
 
 def _frames_at(

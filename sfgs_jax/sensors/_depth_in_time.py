@@ -7,7 +7,7 @@ from sfgs_jax.geometry import Camera
 from sfgs_jax.sensors._timing import SensorTiming, carried, row_places
 
 _ROUNDS = 2
-"""Times that the pixel is looked for at which depth saw a ray. The second moves it by a tenth of a pixel."""
+"""Times that the pixel is looked for at which depth saw a ray; the second begins with the depth found."""
 
 
 def depth_in_time(
