@@ -38,7 +38,12 @@ def steps_of(state: SlamState, grey: np.ndarray, depth: np.ndarray) -> dict[str,
     config, view = state.config.mapping, state.mapping.views[-1]
     window = window_of(state.params, state.graph, state.config.graph)
     params = MapParams(
-        state.mapping_camera, None, config.optimisation, config.seeding, state.mapping.pair_capacity
+        state.mapping_camera,
+        None,
+        jnp.ones(3),
+        config.optimisation,
+        config.seeding,
+        state.mapping.pair_capacity,
     )
     pose = se3.compose(state.graph.pose(view.keyframe), view.T_keyframe_cam)
     elapsed = np.float32(1 / 30)

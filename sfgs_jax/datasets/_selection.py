@@ -1,5 +1,6 @@
 """Selection of frames of a recording, with a limit on depth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,12 +37,12 @@ class Selection:
 
     Attributes:
         recording: the whole recording.
-        frames: indices of the selected frames.
+        frames: indices of the selected frames, ascending.
         max_depth: largest depth, metres; farther depth counts as missing, and None keeps everything.
     """
 
     recording: Recording
-    frames: range
+    frames: Sequence[int]
     max_depth: float | None
 
     @property

@@ -9,25 +9,39 @@ from typing import Any
 import numpy as np
 
 from sfgs_jax.arrays import InputError, write_atomically
-from sfgs_jax.datasets import Recording
-from sfgs_jax.evaluation._run_folder import posed_frames, read_json
+from sfgs_jax.datasets import Recording, associate
+from sfgs_jax.evaluation._run_folder import SAME_TIME_S, posed_frames, read_json
 from sfgs_jax.evaluation.images import (
+    FRAMES_FILE,
     LPIPS_PROTOCOL,
     PROTOCOLS,
     SPLATAM_EVERY,
     ImageFigures,
     LpipsWeights,
     evaluate_images,
+    format_frames,
     load_lpips,
+    mean_by_protocol,
 )
-from sfgs_jax.evaluation.trajectory import ate, nees, rpe
+from sfgs_jax.evaluation.trajectory import Ate, ate, nees, rpe
 from sfgs_jax.geometry import Trajectory, read_covariances, read_tum
 from sfgs_jax.splatting import load_ply
 
 MAX_PIXELS = 200 * 640 * 480
 """Most pixels that image metrics score by default: 200 images of 640 x 480, about a minute's work."""
 
-_OWN_KEYS = ("ate", "rpe", "nees", "psnr", "ssim", "lpips_squeeze", "evaluated", "unavailable")
+_OWN_KEYS = (
+    "ate",
+    "rpe",
+    "nees",
+    "psnr",
+    "ssim",
+    "depth_l1_m",
+    "coverage",
+    "lpips_squeeze",
+    "evaluated",
+    "unavailable",
+)
 
 
 def evaluate_run(
@@ -40,6 +54,8 @@ def evaluate_run(
     progress: Callable[..., object] | None = None,
 ) -> dict[str, Any]:
     """Compare a run with its recording and add the figures to its `metrics.json`.
+
+    A table of every scored frame, `frames.csv`, is written beside it.
 
     The trajectory is compared with the ground truth. The map is rendered at every estimated pose and compared
     with the recorded images by every protocol. Metrics that can't be given are listed under `unavailable`
@@ -68,7 +84,7 @@ def evaluate_run(
     path = run_dir / "metrics.json"
     kept = {key: value for key, value in read_json(path).items() if key not in _OWN_KEYS}
     unavailable: dict[str, str] = {}
-    figures = _trajectory_figures(run_dir, recording, unavailable)
+    figures, absolute = _trajectory_figures(run_dir, recording, unavailable)
     posed = posed_frames(run_dir, recording)
     images = evaluate_images(
         load_ply(run_dir / "map.ply"),
@@ -82,12 +98,15 @@ def evaluate_run(
     figures |= _image_figures(images, unavailable)
     figures["evaluated"] = {
         "every": every,
-        "frames": {name: len(images.psnr[name]) for name in PROTOCOLS},
-        "lpips_frames": len(images.lpips),
+        "frames": {name: sum(name in frame.psnr for frame in images.frames) for name in PROTOCOLS},
+        "lpips_frames": sum(frame.lpips is not None for frame in images.frames),
         "without_pose": len(recording) - len(posed.indices),
         "unreadable": images.unreadable,
     }
     metrics = kept | figures | {"unavailable": unavailable}
+    errors = _by_index(absolute, recording) if absolute else {}
+    gains = dict(zip(posed.indices.tolist(), posed.gains, strict=True))
+    write_atomically(run_dir / FRAMES_FILE, format_frames(images.frames, errors, gains))
     write_atomically(path, json.dumps(metrics, indent=2) + "\n")
     return metrics
 
@@ -99,7 +118,15 @@ def _affordable(recording: Recording, max_pixels: int) -> int:
     return 1 if pixels <= max_pixels else SPLATAM_EVERY * math.ceil(pixels / (max_pixels * SPLATAM_EVERY))
 
 
-def _trajectory_figures(run_dir: Path, recording: Recording, unavailable: dict[str, str]) -> dict[str, Any]:
+def _by_index(absolute: Ate, recording: Recording) -> dict[int, float]:
+    """Position errors by the positions of their frames in the recording, metres."""
+    pairs = associate(recording.timestamps, absolute.timestamps, SAME_TIME_S)
+    return {int(index): float(absolute.errors_m[row]) for index, row in pairs}
+
+
+def _trajectory_figures(
+    run_dir: Path, recording: Recording, unavailable: dict[str, str]
+) -> tuple[dict[str, Any], Ate | None]:
     """ATE and RPE; without them the reason is added to `unavailable`."""
     truth = recording.ground_truth
     try:
@@ -109,8 +136,8 @@ def _trajectory_figures(run_dir: Path, recording: Recording, unavailable: dict[s
         absolute, relative = ate(estimate, truth), rpe(estimate, truth)
     except InputError as error:
         unavailable |= dict.fromkeys(("ate", "rpe", "nees"), str(error))
-        return {}
-    return {
+        return {}, None
+    figures = {
         "ate": {
             "rmse_m": absolute.rmse_m,
             "mean_m": absolute.mean_m,
@@ -124,7 +151,8 @@ def _trajectory_figures(run_dir: Path, recording: Recording, unavailable: dict[s
             "delta_frames": relative.delta,
             "num_pairs": relative.num_pairs,
         },
-    } | _consistency_figures(run_dir, estimate, truth, unavailable)
+    }
+    return figures | _consistency_figures(run_dir, estimate, truth, unavailable), absolute
 
 
 def _consistency_figures(
@@ -153,17 +181,26 @@ def _lpips_weights(unavailable: dict[str, str]) -> LpipsWeights | None:
 
 def _image_figures(images: ImageFigures, unavailable: dict[str, str]) -> dict[str, Any]:
     """Means over the scored frames; protocols without a frame are added to `unavailable`."""
-    if not images.psnr["all"]:
+    if not images.frames:
         unavailable |= dict.fromkeys(("psnr", "ssim", "lpips_squeeze"), "no frame with a pose could be read")
         return {}
-    figures: dict[str, Any] = {}
-    for metric, values in (("psnr", images.psnr), ("ssim", images.ssim)):
-        figures[metric] = {name: float(np.mean(values[name])) for name in PROTOCOLS if values[name]}
-        for name in PROTOCOLS:
-            if not values[name]:
-                unavailable[f"{metric}.{name}"] = "none of the evaluated frames belongs to it"
-    if images.lpips:
-        figures["lpips_squeeze"] = {LPIPS_PROTOCOL: float(np.mean(images.lpips))}
+    figures: dict[str, Any] = {
+        "psnr": mean_by_protocol(frame.psnr for frame in images.frames),
+        "ssim": mean_by_protocol(frame.ssim for frame in images.frames),
+        "coverage": float(np.mean([frame.coverage for frame in images.frames])),
+    }
+    for name in PROTOCOLS:
+        if name not in figures["psnr"]:
+            reason = "none of the evaluated frames belongs to it"
+            unavailable |= dict.fromkeys((f"psnr.{name}", f"ssim.{name}"), reason)
+    distances = [frame.depth_l1_m for frame in images.frames if not np.isnan(frame.depth_l1_m)]
+    if distances:
+        figures["depth_l1_m"] = float(np.mean(distances))
+    else:
+        unavailable["depth_l1_m"] = "no frame has depth where the map is opaque"
+    perceptual = [frame.lpips for frame in images.frames if frame.lpips is not None]
+    if perceptual:
+        figures["lpips_squeeze"] = {LPIPS_PROTOCOL: float(np.mean(perceptual))}
     elif "lpips_squeeze" not in unavailable:
         unavailable["lpips_squeeze"] = "none of the evaluated frames belongs to its protocol"
     return figures

@@ -7,15 +7,22 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import Recording, associate
 from sfgs_jax.geometry import Trajectory, read_tum, se3
-from sfgs_jax.sensors import SENSOR_FILE, RollingShutter, read_sensors
+from sfgs_jax.sensors import (
+    EXPOSURE_FILE,
+    SENSOR_FILE,
+    RollingShutter,
+    read_gains,
+    read_sensors,
+    with_gain,
+)
 
-# Trajectory files hold time stamps to the microsecond.
-_SAME_TIME_S = 1e-5
+SAME_TIME_S = 1e-5
+"""Time stamps this close are of one frame: trajectory files hold them to the microsecond."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,7 @@ class PosedFrames:
         keyframes: positions in the recording of the frames that were used for mapping.
         twists: (k, 6) motion of the camera per second in its own frame, between the neighbours of each frame.
         readout: from the first row of a colour image to its last, seconds; None if the run did not ask.
+        gains: (k, 3) of each channel of these frames against the map's colours; see `sensors.fitted_gain`.
     """
 
     indices: Int[np.ndarray, " k"]
@@ -35,6 +43,7 @@ class PosedFrames:
     keyframes: Int[np.ndarray, " m"]
     twists: Float[np.ndarray, "k 6"]
     readout: float | None
+    gains: Float[np.ndarray, "k 3"]
 
     def shutter(self, place: int) -> RollingShutter | None:
         """The camera's motion while it exposed a frame.
@@ -45,6 +54,15 @@ class PosedFrames:
         if self.readout is None:
             return None
         return RollingShutter(jnp.asarray(self.twists[place], jnp.float32), jnp.asarray(self.readout))
+
+    def shown(self, place: int, rgb: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
+        """An image of the map as the camera showed it at a frame.
+
+        Args:
+            place: of the frame in `indices`.
+            rgb: colours of the map.
+        """
+        return with_gain(rgb, jnp.asarray(self.gains[place], jnp.float32))
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -85,7 +103,18 @@ def posed_frames(run_dir: Path, recording: Recording) -> PosedFrames:
         keyframes=keyframes,
         twists=_twists(trajectory)[order],
         readout=_readout(run_dir / SENSOR_FILE),
+        gains=_gains(run_dir / EXPOSURE_FILE, trajectory)[order],
     )
+
+
+def _gains(path: Path, trajectory: Trajectory) -> Float[np.ndarray, "n 3"]:
+    """Gains of the frames of a trajectory; ones if the run has estimated none."""
+    if not path.exists():
+        return np.ones((len(trajectory), 3))
+    timestamps, gains = read_gains(path)
+    if not np.array_equal(timestamps, trajectory.timestamps):
+        raise InputError(f"{path} is of other frames than trajectory.txt beside it.")
+    return gains
 
 
 def _readout(path: Path) -> float | None:
@@ -109,5 +138,5 @@ def _frames_at(
     trajectory: Trajectory, recording: Recording
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
     """Indices of the frames in the recording, ascending, and of their poses in the trajectory."""
-    pairs = associate(recording.timestamps, trajectory.timestamps, _SAME_TIME_S)
+    pairs = associate(recording.timestamps, trajectory.timestamps, SAME_TIME_S)
     return pairs[:, 0], pairs[:, 1]

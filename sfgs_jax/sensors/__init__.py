@@ -1,10 +1,15 @@
-"""Models of what a camera does to its images: the lens, the distortion of depth, the times of the rows."""
+"""Models of what a camera does to its images: lens, exposure, distortion of depth, times of the rows."""
 
 from sfgs_jax.sensors._depth_correction import DEPTH_GRID as DEPTH_GRID
 from sfgs_jax.sensors._depth_correction import DepthCorrection as DepthCorrection
 from sfgs_jax.sensors._depth_correction import corrected_depth as corrected_depth
 from sfgs_jax.sensors._depth_correction import grid_shares as grid_shares
 from sfgs_jax.sensors._depth_in_time import depth_in_time as depth_in_time
+from sfgs_jax.sensors._exposure import fitted_gain as fitted_gain
+from sfgs_jax.sensors._exposure import with_gain as with_gain
+from sfgs_jax.sensors._exposure_file import EXPOSURE_FILE as EXPOSURE_FILE
+from sfgs_jax.sensors._exposure_file import format_gains as format_gains
+from sfgs_jax.sensors._exposure_file import read_gains as read_gains
 from sfgs_jax.sensors._lens import Undistortion as Undistortion
 from sfgs_jax.sensors._model import SensorModel as SensorModel
 from sfgs_jax.sensors._sensor_file import SENSOR_FILE as SENSOR_FILE

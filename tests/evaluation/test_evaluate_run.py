@@ -1,3 +1,4 @@
+import csv
 import dataclasses
 import json
 import shutil
@@ -8,11 +9,12 @@ import pytest
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.evaluation import PROTOCOLS, evaluate_run
 from sfgs_jax.geometry import Trajectory, format_tum, read_tum
+from sfgs_jax.sensors import format_gains
 
 
-def frames_by_protocol(every, splatam, held_out):
+def frames_by_protocol(every, splatam, views, held_out):
     """Counts of frames, where most protocols take every frame that was evaluated."""
-    return dict.fromkeys(PROTOCOLS, every) | {"splatam": splatam, "held_out": held_out}
+    return dict.fromkeys(PROTOCOLS, every) | {"splatam": splatam, "views": views, "held_out": held_out}
 
 
 @pytest.fixture
@@ -35,7 +37,7 @@ def test_a_run_that_is_its_own_recording_is_exact(run):
     assert set(metrics["psnr"]) == set(metrics["ssim"]) == set(PROTOCOLS)
     assert min(metrics["psnr"].values()) > 80
     assert min(metrics["ssim"].values()) > 0.9999
-    assert metrics["evaluated"]["frames"] == frames_by_protocol(11, 3, 8)
+    assert metrics["evaluated"]["frames"] == frames_by_protocol(11, 3, 3, 1)
     assert "Cannot read the LPIPS weights" in metrics["unavailable"]["lpips_squeeze"]
 
 
@@ -84,7 +86,7 @@ def test_lost_and_unreadable_frames_are_left_out_and_counted(run):
     frames = list(recording.frames)
     frames[3] = FrameError("truncated")
     metrics = evaluate_run(folder, dataclasses.replace(recording, frames=frames))
-    assert metrics["evaluated"]["frames"] == frames_by_protocol(8, 2, 6)
+    assert metrics["evaluated"]["frames"] == frames_by_protocol(8, 2, 2, 1)
     assert metrics["evaluated"]["without_pose"] == 2
     assert metrics["evaluated"]["unreadable"] == 1
     assert metrics["psnr"]["all"] > 80
@@ -94,8 +96,8 @@ def test_a_subset_is_stated(run):
     folder, recording = run
     metrics = evaluate_run(folder, recording, every=3)
     assert metrics["evaluated"]["every"] == 3
-    # Frames 2, 5 and 8, of which 5 is a keyframe and none is SplaTAM's.
-    assert metrics["evaluated"]["frames"] == frames_by_protocol(3, 0, 2)
+    # Frames 2, 5 and 8, of which 5 is a keyframe and none is SplaTAM's; and 4, which is held out.
+    assert metrics["evaluated"]["frames"] == frames_by_protocol(3, 0, 1, 1)
     assert "psnr.splatam" in metrics["unavailable"]
     with pytest.raises(InputError, match="at least 1"):
         evaluate_run(folder, recording, every=0)
@@ -106,7 +108,7 @@ def test_long_recordings_are_sampled_as_splatam_does(run):
     assert evaluate_run(folder, recording)["evaluated"]["every"] == 1
     metrics = evaluate_run(folder, recording, max_pixels=3 * 64 * 48)
     assert metrics["evaluated"]["every"] == 5
-    assert metrics["evaluated"]["frames"] == frames_by_protocol(2, 2, 2)  # 4 and 9
+    assert metrics["evaluated"]["frames"] == frames_by_protocol(2, 2, 0, 1)  # 4 and 9
 
 
 def test_protocols_without_frames_are_unavailable(run):
@@ -124,6 +126,35 @@ def test_a_run_without_any_pose_has_no_figures(run):
     metrics = evaluate_run(folder, recording)
     assert {"ate", "rpe", "psnr", "ssim", "lpips_squeeze"} <= set(metrics["unavailable"])
     assert "psnr" not in metrics
+
+
+def test_frames_have_a_line_each(run):
+    folder, recording = run
+    gains = np.tile([1.0, 1.25, 0.8], (11, 1))
+    gains[5] = [0.5, 0.5, 0.5]
+    (folder / "exposure.txt").write_text(format_gains(read_tum(folder / "trajectory.txt").timestamps, gains))
+    metrics = evaluate_run(folder, recording)
+    with (folder / "frames.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["index"]) for row in rows] == list(range(11))
+    assert [int(row["view"]) for row in rows] == [i in (0, 5, 10) for i in range(11)]
+    mean = np.mean([float(row["psnr_gs_icp"]) for row in rows])
+    assert metrics["psnr"]["gs_icp"] == pytest.approx(mean, abs=1e-3)
+    assert float(rows[5]["psnr_gs_icp"]) < 20 < 80 < float(rows[5]["psnr_gs_icp_raw"])
+    assert [float(rows[5][f"gain_{channel}"]) for channel in "rgb"] == [0.5] * 3
+    assert rows[3]["psnr_held_out"] == "" != rows[4]["psnr_held_out"]
+    assert float(rows[4]["position_error_m"]) < 1e-6
+    assert metrics["depth_l1_m"] < 1e-3 < 0.2 < metrics["coverage"] <= 1
+
+
+def test_gains_of_other_frames_are_refused(run):
+    folder, recording = run
+    (folder / "exposure.txt").write_text(format_gains(np.arange(3.0), np.ones((3, 3))))
+    with pytest.raises(InputError, match=r"exposure.txt is of other frames"):
+        evaluate_run(folder, recording)
+    (folder / "exposure.txt").write_text("1.0 0.5 -1 1\n")
+    with pytest.raises(InputError, match="not finite and positive"):
+        evaluate_run(folder, recording)
 
 
 def test_lpips_of_some_of_splatams_frames(run, sfgs_data, monkeypatch):

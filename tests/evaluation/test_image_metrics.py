@@ -110,7 +110,21 @@ def test_ssim_is_of_the_images_with_zeros(rgb, depth, rng):
 def test_frames_of_the_protocols():
     keyframes = np.asarray([0, 3, 11])
     members = {name: np.flatnonzero(frames_of(name, 12, keyframes)).tolist() for name in PROTOCOLS}
-    for name in ("all", "depth", "gs_icp", "gs_icp_exposure"):
+    for name in ("all", "depth", "gs_icp", "gs_icp_exposure", "gs_icp_raw"):
         assert members[name] == list(range(12))
     assert members["splatam"] == [0, 4, 9]
-    assert members["held_out"] == [1, 2, 4, 5, 6, 7, 8, 9, 10]
+    assert members["views"] == [0, 3, 11]
+    assert members["held_out"] == [4]
+
+
+def test_held_out_frames_are_every_eighth_unless_a_run_used_them():
+    members = np.flatnonzero(frames_of("held_out", 30, np.asarray([12, 13])))
+    assert members.tolist() == [4, 20, 28]
+
+
+def test_only_raw_shows_the_maps_own_colours(rgb, depth):
+    own = rgb + np.float32(0.1)
+    figures = psnrs(rgb, rgb, depth, ALL, own)
+    assert float(figures["gs_icp_raw"]) == pytest.approx(20 - 10 * np.log10(0.75), abs=1e-4)
+    assert min(float(figures[name]) for name in PROTOCOLS if name != "gs_icp_raw") == pytest.approx(100)
+    assert float(ssims(rgb, rgb, depth, ALL, own)["gs_icp_raw"]) < 0.999

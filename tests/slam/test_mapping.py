@@ -11,8 +11,8 @@ import pytest
 from sfgs_jax import Camera, slam
 from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.mapping import insert_view, optimise_once, prune, seed, view_of
-from sfgs_jax.slam.state import grow, move
+from sfgs_jax.slam.mapping import insert_view, optimise_once, prune, seed, step_on_view, view_is_due, view_of
+from sfgs_jax.slam.state import View, empty_log, gains_of, grow, move
 from sfgs_jax.splatting import RenderConfig, render
 
 
@@ -202,3 +202,44 @@ def test_gaussians_move_with_their_keyframe(seeded):
     # Rounding decides which of two surfaces at one depth is in front: alpha doesn't mind, colour a little.
     np.testing.assert_allclose(after.alpha, before.alpha, atol=2e-3)
     assert float(jnp.mean(jnp.abs(after.rgb - before.rgb))) < 5e-3
+
+
+def test_every_eighth_frame_is_never_a_view():
+    due = [n for n in range(1, 40) if view_is_due(n, n - 8, [0], 8, new_keyframe=False)]
+    assert sorted(set(range(1, 40)) - set(due)) == [4, 12, 20, 28, 36]
+    assert not view_is_due(12, 8, [0, 12], 8, new_keyframe=True)
+    assert view_is_due(13, 8, [0, 12], 8, new_keyframe=False)  # in place of the keyframe
+    assert not view_is_due(14, 8, [0, 12], 8, new_keyframe=False)
+
+
+def test_views_of_other_exposures_make_one_map(seeded, frames):
+    """One frame, and the same frame with half the exposure: their gains tell them apart, the map does not."""
+    config = seeded.config.mapping
+    config = replace(config, optimisation=replace(config.optimisation, estimate_exposure=True))
+    factor = np.asarray([0.5, 0.6, 0.7], np.float32)
+    darker = replace(frames[0], rgb=frames[0].rgb * factor)
+    (bright,) = seeded.mapping.views
+    dark = view_of(darker, 1, 0, bright.T_keyframe_cam, 1, np.zeros(6, np.float32))
+    mapping, _ = insert_view(seeded.mapping, dark, seeded.mapping_camera, config)
+    for step in range(20):
+        mapping, _ = step_on_view(mapping, step % 2, seeded.mapping_camera, config)
+    first, second = (np.asarray(view.gain) for view in mapping.views)
+    np.testing.assert_allclose(second / first, factor, rtol=0.12)
+    apart = replace(config, optimisation=replace(config.optimisation, estimate_exposure=False))
+    _, alike = step_on_view(mapping, 1, seeded.mapping_camera, apart)
+    _, told = step_on_view(mapping, 1, seeded.mapping_camera, config)
+    assert float(told.loss) < 0.5 * float(alike.loss)
+
+
+def test_gains_of_frames_lie_between_those_of_the_views():
+    log = empty_log()
+    for number in range(5):
+        log = log.with_frame(0.1 * number**2, number, 0, se3.identity(), np.eye(6))
+    image = np.zeros((1, 1, 3), np.uint8)
+    views = tuple(
+        View(image, np.zeros((1, 1), np.float32), np.ones((1, 1), bool), np.zeros(6, np.float32), 0,
+             se3.identity(), number, np.full(3, gain, np.float32))
+        for number, gain in ((3, 1.5), (1, 0.5))
+    )  # fmt: skip
+    np.testing.assert_allclose(gains_of(log, views)[:, 0], [0.5, 0.5, 0.875, 1.5, 1.5])
+    np.testing.assert_array_equal(gains_of(log, ()), np.ones((5, 3)))

@@ -76,7 +76,7 @@ def test_a_state_is_refused_by_name(room, frames, busy, tmp_path):
     slam.save(state, tmp_path, num_frames=1)
     tensors, metadata = read_tensors(tmp_path / STATE_FILE)
     assert ".tracker.num_keyframes" in tensors
-    assert metadata["version"] == "7"
+    assert metadata["version"] == "8"
 
     def refused(changed, message, **facts):
         write_tensors(tmp_path / STATE_FILE, changed, metadata | facts)

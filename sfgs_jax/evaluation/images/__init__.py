@@ -1,6 +1,12 @@
 """Image metrics of a rendered map (PSNR, SSIM, LPIPS) by the protocols that papers use."""
 
+from sfgs_jax.evaluation.images._frame_figures import FRAMES_FILE as FRAMES_FILE
+from sfgs_jax.evaluation.images._frame_figures import FrameFigures as FrameFigures
+from sfgs_jax.evaluation.images._frame_figures import format_frames as format_frames
+from sfgs_jax.evaluation.images._frame_figures import mean_by_protocol as mean_by_protocol
+from sfgs_jax.evaluation.images._frame_figures import read_frames as read_frames
 from sfgs_jax.evaluation.images._image_evaluation import LPIPS_PROTOCOL as LPIPS_PROTOCOL
+from sfgs_jax.evaluation.images._image_evaluation import OPAQUE as OPAQUE
 from sfgs_jax.evaluation.images._image_evaluation import ImageFigures as ImageFigures
 from sfgs_jax.evaluation.images._image_evaluation import evaluate_images as evaluate_images
 from sfgs_jax.evaluation.images._image_metrics import PROTOCOLS as PROTOCOLS

@@ -4,12 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import Recording, Selection, prefetch
 from sfgs_jax.evaluation._run_folder import PosedFrames
+from sfgs_jax.evaluation.images._frame_figures import FrameFigures
 from sfgs_jax.evaluation.images._image_metrics import (
     PROTOCOLS,
     Protocol,
@@ -20,10 +22,13 @@ from sfgs_jax.evaluation.images._image_metrics import (
 )
 from sfgs_jax.evaluation.images._lpips import LpipsWeights, lpips
 from sfgs_jax.evaluation.images._map_renderer import MapRenderer
-from sfgs_jax.splatting import Gaussians
+from sfgs_jax.splatting import Gaussians, RenderOutput
 
 LPIPS_PROTOCOL: Protocol = "splatam"
 """The only protocol of LPIPS, which takes several times as long as the other metrics together."""
+
+OPAQUE = 0.5
+"""Accumulated opacity below which a pixel shows too little of the map for a depth."""
 
 
 @dataclass
@@ -31,15 +36,11 @@ class ImageFigures:
     """Figures of every scored frame.
 
     Attributes:
-        psnr: dB, by protocol.
-        ssim: by protocol.
-        lpips: LPIPS of the frames it was computed for, protocol `LPIPS_PROTOCOL`.
+        frames: those that could be scored.
         unreadable: frames with a pose that could not be decoded.
     """
 
-    psnr: dict[Protocol, list[float]] = field(default_factory=lambda: {name: [] for name in PROTOCOLS})
-    ssim: dict[Protocol, list[float]] = field(default_factory=lambda: {name: [] for name in PROTOCOLS})
-    lpips: list[float] = field(default_factory=list)
+    frames: list[FrameFigures] = field(default_factory=list)
     unreadable: int = 0
 
 
@@ -60,35 +61,55 @@ def evaluate_images(
         recording: source of the images.
         posed: the frames to compare, with their poses.
         lpips_weights: weights of LPIPS; None leaves LPIPS out.
-        every: n takes the last of every n frames.
+        every: n takes the last of every n frames, and half as many of those held out.
         max_lpips_frames: most frames for LPIPS, evenly spaced.
         progress: called as `progress(done)` with the number of frames of the recording gone through.
     """
-    chosen = range(every - 1, len(recording), every)
-    evaluated = np.isin(np.arange(len(recording)), chosen) & np.isin(np.arange(len(recording)), posed.indices)
-    members = {name: evaluated & frames_of(name, len(recording), posed.keyframes) for name in PROTOCOLS}
+    number = np.arange(len(recording))
+    known, sampled = np.isin(number, posed.indices), (number + 1) % every == 0
+    members = {name: known & frames_of(name, len(recording), posed.keyframes) for name in PROTOCOLS}
+    for name in PROTOCOLS:
+        members[name] &= sampled | (name == "held_out")
+    if every > 1:
+        members["held_out"] = _evenly(members["held_out"], max(1, sum(sampled) // 2))
+    evaluated = np.any(list(members.values()), axis=0)
+    chosen = np.flatnonzero(evaluated).tolist()
+    used = np.isin(np.arange(len(recording)), posed.keyframes)
     perceptual = _evenly(members[LPIPS_PROTOCOL], max_lpips_frames)
     places = {number: place for place, number in enumerate(posed.indices.tolist())}
     render = MapRenderer(gaussians, recording.camera)
     figures = ImageFigures()
     for place, frame in prefetch(Selection(recording, chosen, max_depth=None)):
         index = chosen[place]
-        if not evaluated[index]:
-            pass
-        elif isinstance(frame, FrameError):
+        if isinstance(frame, FrameError):
             figures.unreadable += 1
         else:
             at = places[index]
-            image = render(posed.poses[at], posed.shutter(at)).rgb
-            recorded = (frame.rgb, frame.depth, frame.mask)
+            output = render(posed.poses[at], posed.shutter(at))
+            image, recorded = posed.shown(at, output.rgb), (frame.rgb, frame.depth, frame.mask)
             own: list[Protocol] = [name for name in PROTOCOLS if members[name][index]]
-            _append(figures.psnr, own, _psnr_by_protocol(image, *recorded))
-            _append(figures.ssim, own, _ssim_by_protocol(image, *recorded))
+            psnrs = _psnr_by_protocol(image, *recorded, output.rgb)
+            ssims = _ssim_by_protocol(image, *recorded, output.rgb)
+            depth_l1, coverage = _geometry(output, frame.depth, frame.mask)
+            distance = None
             if lpips_weights is not None and perceptual[index]:
-                distance = _masked_lpips(lpips_weights, image, *recorded)
-                figures.lpips.append(float(distance))
+                distance = float(_masked_lpips(lpips_weights, image, *recorded))
+            figures.frames.append(
+                FrameFigures(
+                    index=index,
+                    timestamp=float(recording.timestamps[index]),
+                    view=bool(used[index]),
+                    psnr={name: float(psnrs[name]) for name in own},
+                    ssim={name: float(ssims[name]) for name in own},
+                    depth_l1_m=float(depth_l1),
+                    coverage=float(coverage),
+                    lpips=distance,
+                )
+            )
         if progress is not None:
             progress(index + 1)
+    if progress is not None and (not chosen or chosen[-1] + 1 < len(recording)):
+        progress(len(recording))
     return figures
 
 
@@ -101,11 +122,16 @@ def _evenly(members: Bool[np.ndarray, " n"], at_most: int) -> Bool[np.ndarray, "
     return spread
 
 
-def _append(
-    figures: dict[Protocol, list[float]], names: list[Protocol], values: dict[Protocol, Float[Array, ""]]
-) -> None:
-    for name in names:
-        figures[name].append(float(values[name]))
+@jax.jit
+def _geometry(
+    output: RenderOutput, depth: Float[Array, "H W"], valid: Bool[Array, "H W"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Mean distance from the recorded depth where the map is opaque, NaN if nowhere; mean opacity."""
+    both = valid & (depth > 0) & (output.alpha > OPAQUE)
+    return (
+        jnp.mean(jnp.abs(output.depth - depth), where=both),
+        jnp.mean(output.alpha, where=valid),
+    )
 
 
 _psnr_by_protocol = jax.jit(psnr_by_protocol)

@@ -4,8 +4,13 @@ Protocol `all`: every pixel of every frame.
 Protocol `depth`: the pixels with input depth of every frame.
 Protocol `gs_icp`: every frame. Pixels without input depth are set to zero in both images, and count.
 Protocol `gs_icp_exposure`: the same after each rendered image was given the exposure that fits best.
+Protocol `gs_icp_raw`: `gs_icp` of the map in its own colours, without the gains that the run has estimated.
 Protocol `splatam`: the first and every fifth frame, with the same zeros; PSNR is a mean over channels, in dB.
-Protocol `held_out`: every pixel of the frames that were not used for mapping.
+Protocol `views`: every pixel of the frames that were used for mapping.
+Protocol `held_out`: every pixel of every eighth frame, which no run uses for mapping.
+
+All but `gs_icp_raw` compare the map as the camera showed it at that time: with the run's estimate of its
+exposure, which comes from the views before and after.
 
 Pixels beyond a lens's field of view hold no image; they count as pixels without depth, or not at all.
 
@@ -22,9 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.geometry import is_held_out
 from sfgs_jax.splatting import ssim
 
-Protocol = Literal["all", "depth", "gs_icp", "gs_icp_exposure", "splatam", "held_out"]
+Protocol = Literal["all", "depth", "gs_icp", "gs_icp_exposure", "gs_icp_raw", "splatam", "views", "held_out"]
 """Name of a choice of frames and pixels for image metrics; docs/evaluation.md describes them."""
 
 PROTOCOLS: tuple[Protocol, ...] = get_args(Protocol)
@@ -90,20 +96,23 @@ def psnr_by_protocol(
     rgb: Float[Array, "H W 3"],
     depth: Float[Array, "H W"],
     valid: Bool[Array, "H W"],
+    raw: Float[Array, "H W 3"] | None = None,
 ) -> dict[Protocol, Float[Array, ""]]:
     """PSNR of one frame in dB, by protocol; `frames_of` says which frames belong to a protocol.
 
     Args:
-        rendered: image of the map at the frame's pose; values outside [0, 1] are clipped.
+        rendered: image of the map as the camera showed it; values outside [0, 1] are clipped.
         rgb: the recorded image in [0, 1].
         depth: recorded depth in metres, 0 where missing.
         valid: pixels that hold an image.
+        raw: image of the map in its own colours; the same as `rendered` if not given.
     """
+    raw = jnp.clip(rendered if raw is None else raw, 0, 1)
     rendered, seen = jnp.clip(rendered, 0, 1), valid & (depth > 0)
     exposed = with_exposure_of(rendered, rgb, seen)
-    channel_mse, exposed_mse = (
+    channel_mse, exposed_mse, raw_mse = (
         jnp.mean(jnp.where(seen[..., None], image - rgb, 0) ** 2, axis=(0, 1))
-        for image in (rendered, exposed)
+        for image in (rendered, exposed, raw)
     )
     whole = _decibels(_mean_where(valid, (rendered - rgb) ** 2))
     return {
@@ -111,7 +120,9 @@ def psnr_by_protocol(
         "depth": _decibels(_mean_where(seen, (rendered - rgb) ** 2)),
         "gs_icp": _decibels(jnp.mean(channel_mse)),
         "gs_icp_exposure": _decibels(jnp.mean(exposed_mse)),
+        "gs_icp_raw": _decibels(jnp.mean(raw_mse)),
         "splatam": jnp.mean(_decibels(channel_mse)),
+        "views": whole,
         "held_out": whole,
     }
 
@@ -127,8 +138,10 @@ def ssim_by_protocol(
     rgb: Float[Array, "H W 3"],
     depth: Float[Array, "H W"],
     valid: Bool[Array, "H W"],
+    raw: Float[Array, "H W 3"] | None = None,
 ) -> dict[Protocol, Float[Array, ""]]:
     """SSIM of one frame, by protocol. Arguments as of `psnr_by_protocol`."""
+    raw = jnp.clip(rendered if raw is None else raw, 0, 1)
     rendered, seen = jnp.clip(rendered, 0, 1), valid & (depth > 0)
     whole, masked = ssim(rendered, rgb, valid), ssim(*masked_images(rendered, rgb, seen))
     exposed = ssim(*masked_images(with_exposure_of(rendered, rgb, seen), rgb, seen))
@@ -137,7 +150,9 @@ def ssim_by_protocol(
         "depth": ssim(rendered, rgb, seen),
         "gs_icp": masked,
         "gs_icp_exposure": exposed,
+        "gs_icp_raw": ssim(*masked_images(raw, rgb, seen)),
         "splatam": masked,
+        "views": whole,
         "held_out": whole,
     }
 
@@ -153,12 +168,15 @@ def frames_of(
         keyframes: indices of the frames that were used for mapping.
     """
     match protocol:
-        case "all" | "depth" | "gs_icp" | "gs_icp_exposure":
+        case "all" | "depth" | "gs_icp" | "gs_icp_exposure" | "gs_icp_raw":
             return np.ones(num_frames, bool)
         case "splatam":
             index = np.arange(num_frames)
             return (index == 0) | ((index + 1) % SPLATAM_EVERY == 0)
         case "held_out":
-            return ~np.isin(np.arange(num_frames), keyframes)
+            kept = np.asarray([is_held_out(index) for index in range(num_frames)], bool)
+            return kept & ~np.isin(np.arange(num_frames), keyframes)
+        case "views":
+            return np.isin(np.arange(num_frames), keyframes)
         case _:
             assert_never(protocol)

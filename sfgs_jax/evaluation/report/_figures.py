@@ -12,8 +12,10 @@ _PROTOCOL_NOTES = {
     "depth": "the pixels with input depth of every frame",
     "gs_icp": "every frame; pixels without input depth are zero in both images (GS-ICP-SLAM)",
     "gs_icp_exposure": "the same after gain and offset of each frame were fitted to the recorded image",
+    "gs_icp_raw": "gs_icp of the map alone, without the exposures that the run has estimated",
     "splatam": "the first and every fifth frame, masked the same way (SplaTAM)",
-    "held_out": "every pixel of the frames that were not used for mapping",
+    "views": "every pixel of the frames that were used for mapping",
+    "held_out": "every pixel of every eighth frame, which no run uses for mapping",
 }
 
 

@@ -9,6 +9,9 @@ from jaxtyping import Float, UInt8
 _WIDTH = 400
 """Largest width, pixels: a quarter of the page on a dense screen."""
 
+LARGEST_ERROR = 0.25
+"""Error of colour that is shown white."""
+
 
 def rgb_picture(image: Float[np.ndarray, "H W 3"]) -> str:
     """An RGB image in [0, 1] as a JPEG data URL."""
@@ -25,6 +28,16 @@ def depth_picture(depth: Float[np.ndarray, "H W"], near: float, far: float) -> s
     """
     level = np.clip((depth - near) / max(far - near, 1e-6), 0, 1)
     return _encode(np.where((depth > 0)[..., None], _colours(level), 0).astype(np.uint8))
+
+
+def error_picture(error: Float[np.ndarray, "H W 3"]) -> str:
+    """Size of an error of colour as a grey JPEG data URL; white from `LARGEST_ERROR` on.
+
+    Args:
+        error: difference of two images in [0, 1].
+    """
+    size = np.clip(np.abs(error).mean(axis=2) / LARGEST_ERROR, 0, 1)
+    return _encode(np.repeat((255 * size).round().astype(np.uint8)[..., None], 3, axis=2))
 
 
 def depth_scale() -> str:

@@ -112,6 +112,41 @@ def plot_errors(
         return _svg(figure)
 
 
+def plot_quality(frames: dict[str, Float[np.ndarray, " n"]]) -> str:
+    """PSNR of the scored frames over time, as SVG.
+
+    Args:
+        frames: columns of `frames.csv`, with at least one frame.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    seconds, views = frames["timestamp"] - frames["timestamp"].min(), frames["view"] > 0
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(10, 2.4), layout="constrained")
+        axes = figure.subplots()
+        known = np.isfinite(frames["psnr_gs_icp"])
+        axes.plot(
+            seconds[known], frames["psnr_gs_icp"][known], color=_ESTIMATE, linewidth=1.3, label="gs_icp"
+        )
+        for name, chosen, colour in (("views", views, _START), ("held_out", ~views, _ERROR)):
+            marked = chosen & np.isfinite(frames[f"psnr_{name}"])
+            axes.plot(
+                seconds[marked],
+                frames[f"psnr_{name}"][marked],
+                ".",
+                color=colour,
+                markersize=5,
+                label=f"{name}, every pixel",
+            )
+        axes.legend(loc="upper left", ncols=3)
+        axes.set_title("PSNR", loc="left", fontweight="bold")
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("dB")
+        axes.margins(x=0.01, y=0.25)
+        return _svg(figure)
+
+
 def plot_depth_correction(millimetres: Float[np.ndarray, "r c"]) -> str:
     """Correction of depth over the image, as SVG.
 

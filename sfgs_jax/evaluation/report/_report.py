@@ -9,6 +9,7 @@ import numpy as np
 from sfgs_jax.arrays import write_atomically
 from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation._run_folder import posed_frames, read_json
+from sfgs_jax.evaluation.images import FRAMES_FILE, read_frames
 from sfgs_jax.evaluation.report._compared_views import compared_views
 from sfgs_jax.evaluation.report._figures import (
     cards,
@@ -19,8 +20,17 @@ from sfgs_jax.evaluation.report._figures import (
     trajectory_table,
 )
 from sfgs_jax.evaluation.report._html import foldable_values
-from sfgs_jax.evaluation.report._sections import sensors_section, trajectory_section, views_section
+from sfgs_jax.evaluation.report._sections import (
+    quality_section,
+    sensors_section,
+    trajectory_section,
+    views_section,
+    worst_frames,
+)
 from sfgs_jax.splatting import load_ply
+
+_NUM_WORST = 2
+"""Worst frames that are shown."""
 
 
 def write_report(run_dir: Path, recording: Recording, *, num_views: int = 6) -> Path:
@@ -31,7 +41,7 @@ def write_report(run_dir: Path, recording: Recording, *, num_views: int = 6) -> 
     Args:
         run_dir: folder that a run wrote.
         recording: the recording of the run.
-        num_views: number of rendered views to show beside the recorded ones.
+        num_views: number of evenly spaced views to show beside the recorded ones; the worst come besides.
 
     Returns:
         The page's path.
@@ -41,12 +51,15 @@ def write_report(run_dir: Path, recording: Recording, *, num_views: int = 6) -> 
     """
     metrics, config = read_json(run_dir / "metrics.json"), read_json(run_dir / "config.json")
     posed = posed_frames(run_dir, recording)
-    views = compared_views(load_ply(run_dir / "map.ply"), recording, posed, num_views)
+    frames = read_frames(run_dir / FRAMES_FILE)
+    worst = worst_frames(frames, _NUM_WORST)
+    views = compared_views(load_ply(run_dir / "map.ply"), recording, posed, num_views, worst)
     body = [
         _header(recording),
         cards(metrics),
         missing_figures(metrics),
         trajectory_section(run_dir, recording),
+        quality_section(frames),
         views_section(views),
         "<div class='columns'>" + image_table(metrics) + trajectory_table(metrics) + "</div>",
         sensors_section(run_dir),
@@ -60,8 +73,8 @@ def write_report(run_dir: Path, recording: Recording, *, num_views: int = 6) -> 
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
         f"<title>{escape(recording.name)} · sfgs-jax</title><style>{style}</style></head><body><main>"
         + "".join(body)
-        + "<footer>Written by sfgs-jax. The numbers are in metrics.json, the paths in trajectory.txt, "
-        "the map in map.ply.</footer></main></body></html>\n"
+        + "<footer>Written by sfgs-jax. The numbers are in metrics.json and frames.csv, the paths in "
+        "trajectory.txt, the map in map.ply.</footer></main></body></html>\n"
     )
     path = run_dir / "report.html"
     write_atomically(path, page)

@@ -10,8 +10,14 @@ from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation._run_folder import read_json
 from sfgs_jax.evaluation.report._compared_views import ComparedView
 from sfgs_jax.evaluation.report._html import section, table
-from sfgs_jax.evaluation.report._pictures import depth_picture, depth_scale, rgb_picture
-from sfgs_jax.evaluation.report._plots import plot_depth_correction, plot_errors, plot_paths
+from sfgs_jax.evaluation.report._pictures import (
+    LARGEST_ERROR,
+    depth_picture,
+    depth_scale,
+    error_picture,
+    rgb_picture,
+)
+from sfgs_jax.evaluation.report._plots import plot_depth_correction, plot_errors, plot_paths, plot_quality
 from sfgs_jax.evaluation.trajectory import ate
 from sfgs_jax.geometry import Trajectory, read_covariances, read_tum
 
@@ -93,6 +99,31 @@ def _in_world_of(
     return Trajectory(truth.timestamps[during], np.linalg.inv(T_truth_estimate) @ truth.poses[during])
 
 
+def worst_frames(frames: dict[str, Float[np.ndarray, " n"]], count: int) -> list[int]:
+    """Positions in the recording of the frames with the lowest PSNR by `gs_icp`.
+
+    Args:
+        frames: columns of `frames.csv`.
+        count: most frames.
+    """
+    if not frames:
+        return []
+    quality = frames["psnr_gs_icp"]
+    known = np.flatnonzero(np.isfinite(quality))
+    return frames["index"][known[np.argsort(quality[known])[:count]]].astype(int).tolist()
+
+
+def quality_section(frames: dict[str, Float[np.ndarray, " n"]]) -> str:
+    """PSNR of the frames over time; empty if none was scored.
+
+    Args:
+        frames: columns of `frames.csv`.
+    """
+    if not frames or not np.isfinite(frames["psnr_gs_icp"]).any():
+        return ""
+    return section("Quality over time", plot_quality(frames))
+
+
 def views_section(views: list[ComparedView]) -> str:
     """Recorded and rendered pictures, a row a view; empty without views."""
     if not views:
@@ -104,6 +135,7 @@ def views_section(views: list[ComparedView]) -> str:
         pictures = (
             ("recorded", rgb_picture(view.rgb)),
             ("rendered", rgb_picture(view.rendered_rgb)),
+            ("difference", error_picture(view.rendered_rgb - view.rgb)),
             ("recorded depth", depth_picture(view.depth, near, far)),
             ("rendered depth", depth_picture(view.rendered_depth, near, far)),
         )
@@ -112,7 +144,8 @@ def views_section(views: list[ComparedView]) -> str:
             f"<figcaption>{name}</figcaption></figure>"
             for name, data in pictures
         )
-        tag = "<span class='tag'>keyframe</span>" if view.keyframe else ""
+        tags = ("keyframe",) * view.keyframe + ("one of the worst",) * view.worst
+        tag = "".join(f"<span class='tag'>{name}</span>" for name in tags)
         rows.append(
             f"<div class='view'><div class='caption'><b>Frame {view.index}</b>"
             f"<span class='soft'>{view.time_s:.1f} s</span><span>PSNR {view.psnr:.2f} dB</span>{tag}</div>"
@@ -120,6 +153,7 @@ def views_section(views: list[ComparedView]) -> str:
         )
     scale = (
         f"<div class='scale'>{near:.1f} m <img src='{depth_scale()}' alt='depth scale'> {far:.1f} m"
-        "<span>black: no depth</span></div>"
+        "<span>black: no depth</span>"
+        f"<span>difference: white is {LARGEST_ERROR:g} of the range of colours</span></div>"
     )
     return section("Rendered beside recorded", "".join(rows) + scale)

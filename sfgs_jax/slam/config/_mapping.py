@@ -64,6 +64,9 @@ class OptimisationConfig:
     """Weight of 1 - SSIM against L1 in the colour loss."""
     depth_weight: float = 0.1
     """Weight of the depth loss (L1, metres)."""
+    estimate_exposure: bool = True
+    """Estimate a gain of each colour channel for each view. Then the map need not take on the camera's
+    automatic exposure and white balance."""
     learning_rates: LearningRates = field(default_factory=LearningRates)
     """Adam's learning rates."""
 

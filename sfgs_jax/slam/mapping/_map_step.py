@@ -1,5 +1,6 @@
 """Map step: one rendering of one view, one step of Adam."""
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ import jaxlie
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera
-from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time
+from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time, fitted_gain, with_gain
 from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
 from sfgs_jax.slam.mapping._seeding import uncovered
 from sfgs_jax.slam.state._gaussian_map import GaussianMap, Parameters, parameters, with_parameters
@@ -20,6 +21,8 @@ from sfgs_jax.splatting import RenderConfig, RenderOutput, l1, render, ssim
 _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
 _MIN_ALPHA = 0.5
 """Accumulated opacity below which the map's depth says nothing about where its Gaussians should be."""
+_PRIOR_SHARE = 0.1
+"""What a gain of 1 counts for, as a share of a view's pixels, so that a chain of views does not drift."""
 
 
 def mapping_loss(
@@ -45,11 +48,12 @@ def mapping_loss(
 
 
 class MapParams(eqx.Module):
-    """Parameters of a map step; all but the camera and its times are static.
+    """Parameters of a map step; all but what is known of the camera is static.
 
     Attributes:
         camera: intrinsics of the views.
         timing: times of the camera's rows; None if images count as taken at once.
+        mean_gain: mean of the views' gains; None if images count as exposed alike.
         config: loss and learning rates.
         seeding: settings that say where the map lacks surface.
         pair_capacity: pairs of tile and Gaussian that a rendering has room for.
@@ -57,6 +61,7 @@ class MapParams(eqx.Module):
 
     camera: Camera
     timing: SensorTiming | None
+    mean_gain: Float[Array, "3"] | None
     config: OptimisationConfig = eqx.field(static=True)
     seeding: SeedingConfig = eqx.field(static=True)
     pair_capacity: int = eqx.field(static=True)
@@ -69,6 +74,8 @@ class MapStep(NamedTuple):
         map: after the step.
         loss: before it.
         missing: (h, w) pixels whose surface the map lacked before it.
+        gain: of the view's colours against the map's; ones if they count as exposed alike.
+        seed_gain: the same for the colours of new Gaussians, where the map is still transparent.
         overflow: pairs that did not fit. Where it is not 0 the rendering was incomplete; repeat the step with
             more room.
     """
@@ -76,6 +83,8 @@ class MapStep(NamedTuple):
     map: GaussianMap
     loss: Float[Array, ""]
     missing: Bool[Array, "h w"]
+    gain: Float[Array, "3"]
+    seed_gain: Float[Array, "3"]
     overflow: Int[Array, ""]
 
 
@@ -116,15 +125,41 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
         shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
     config = RenderConfig(pair_capacity=params.pair_capacity)
 
-    def loss_of(values: Parameters) -> tuple[Array, tuple[Array, Array]]:
+    def loss_of(values: Parameters) -> tuple[Array, tuple[Array, Array, Array, Array]]:
         gaussians = with_parameters(gaussian_map.gaussians, values)
         out = render(gaussians, params.camera, T_world_cam, shutter=shutter, config=config)
+        lacking = uncovered(out, depth, params.seeding)
+        gain = seed_gain = jnp.ones(3)
+        if params.mean_gain is not None:
+            gain, seed_gain = _gains(view, jax.lax.stop_gradient(out), rgb, depth, lacking, params.seeding)
+            # Only what tells this view from the others: the map itself keeps their mean.
+            out = replace(out, rgb=with_gain(out.rgb, gain / params.mean_gain))
         loss = mapping_loss(out, rgb, depth, jnp.asarray(view.valid), params.config)
-        return loss, (uncovered(out, depth, params.seeding), out.overflow)
+        return loss, (lacking, gain, seed_gain, out.overflow)
 
     values = parameters(gaussian_map.gaussians)
-    (loss, (missing, overflow)), gradients = jax.value_and_grad(loss_of, has_aux=True)(values)
-    return MapStep(_adam(gaussian_map, gradients, params.config), loss, missing, overflow)
+    (loss, about), gradients = jax.value_and_grad(loss_of, has_aux=True)(values)
+    return MapStep(_adam(gaussian_map, gradients, params.config), loss, *about)
+
+
+def _gains(
+    view: View,
+    out: RenderOutput,
+    rgb: Float[Array, "h w 3"],
+    depth: Float[Array, "h w"],
+    lacking: Bool[Array, "h w"],
+    config: SeedingConfig,
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Gains of a view where the map has the surface that it measures.
+
+    The first is that of the rendered colours. The second is that of the surface's own: where the map is not
+    opaque yet, the rendered colours are darker by its opacity.
+    """
+    close = out.depth > depth * (1 - config.depth_margin)
+    shown = (jnp.asarray(view.valid) & (depth > 0) & ~lacking & close).astype(rgb.dtype)
+    prior_pixels = _PRIOR_SHARE * shown.size
+    covered = rgb * out.alpha[..., None]
+    return fitted_gain(out.rgb, rgb, shown, prior_pixels), fitted_gain(out.rgb, covered, shown, prior_pixels)
 
 
 def _adam(gaussian_map: GaussianMap, gradients: Parameters, config: OptimisationConfig) -> GaussianMap:

@@ -5,12 +5,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.sensors import SensorTiming
+from sfgs_jax.sensors import SensorTiming, with_gain
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.mapping._map_step import MapParams, map_step, prune, seen_by
+from sfgs_jax.slam.mapping._map_step import MapParams, MapStep, map_step, prune, seen_by
 from sfgs_jax.slam.mapping._seeding import seed
 from sfgs_jax.slam.state._gaussian_map import grow, move
 from sfgs_jax.slam.state._map_state import MapState, View
@@ -82,13 +82,17 @@ def insert_view(
     Returns:
         The map state, and the loss of the map before.
     """
-    stepped, missing, loss = step_on_view(mapping, view, camera, config)
-    mapping = stepped if config.steps_per_view else replace(mapping, pair_capacity=stepped.pair_capacity)
+    mapping = replace(mapping, views=(*mapping.views, view))
+    stepped, done = step_on_view(mapping, -1, camera, config)
+    room, seed_gain = stepped.pair_capacity, np.asarray(done.seed_gain)
+    mapping = stepped if config.steps_per_view else replace(mapping, pair_capacity=room)
+    mapping = replace(mapping, views=(*mapping.views[:-1], replace(view, gain=seed_gain)))
     T_world_cam, keyframe = _pose(view, mapping), jnp.asarray(view.keyframe, jnp.int32)
     rgb, depth = seen_by(view, camera, _timing(mapping))
+    rgb = with_gain(rgb, 1 / done.seed_gain)
     while True:
         seeded, dropped = seed(
-            mapping.map, rgb, depth, missing, camera, T_world_cam, keyframe, config.seeding
+            mapping.map, rgb, depth, done.missing, camera, T_world_cam, keyframe, config.seeding
         )
         capacity = seeded.gaussians.valid.shape[0]
         if not int(dropped) or 2 * capacity > config.max_capacity:
@@ -97,10 +101,9 @@ def insert_view(
     mapping = replace(
         mapping,
         map=seeded,
-        views=(*mapping.views, view),
         dropped_seeds=mapping.dropped_seeds + int(dropped),
     )
-    return mapping, loss
+    return mapping, float(done.loss)
 
 
 def optimise_once(
@@ -120,29 +123,35 @@ def optimise_once(
     """
     draw = np.random.default_rng([seed, mapping.num_steps])
     newest = draw.random() < newest_share
-    chosen = mapping.views[-1 if newest else draw.integers(len(mapping.views))]
-    mapping, _, loss = step_on_view(mapping, chosen, camera, config)
-    return mapping, loss
+    number = -1 if newest else int(draw.integers(len(mapping.views)))
+    mapping, done = step_on_view(mapping, number, camera, config)
+    return mapping, float(done.loss)
 
 
 def step_on_view(
-    mapping: MapState, view: View, camera: Camera, config: MappingConfig
-) -> tuple[MapState, Bool[Array, "h w"], float]:
+    mapping: MapState, number: int, camera: Camera, config: MappingConfig
+) -> tuple[MapState, MapStep]:
     """One map step on a view, with as much room for pairs as it needs.
 
     Args:
         mapping: before.
-        view: any view.
+        number: of the view; -1 is the newest.
         camera: of the views.
         config: settings.
 
     Returns:
-        The map state after the step, the pixels whose surface the map lacked before it, and its loss.
+        The map state after the step, and what the step found.
     """
-    T_world_cam = _pose(view, mapping)
+    view = mapping.views[number]
+    T_world_cam, mean_gain = _pose(view, mapping), _mean_gain(mapping, config)
     while True:
         params = MapParams(
-            camera, _timing(mapping), config.optimisation, config.seeding, mapping.pair_capacity
+            camera,
+            _timing(mapping),
+            mean_gain,
+            config.optimisation,
+            config.seeding,
+            mapping.pair_capacity,
         )
         done = map_step(params, mapping.map, view, T_world_cam)
         if not int(done.overflow):
@@ -152,13 +161,21 @@ def step_on_view(
     num_steps, optimised = mapping.num_steps + 1, done.map
     if num_steps % config.prune_interval == 0:
         optimised = prune(optimised, config.prune_opacity)
-    return replace(mapping, map=optimised, num_steps=num_steps), done.missing, float(done.loss)
+    views = list(mapping.views)
+    views[number] = replace(view, gain=np.asarray(done.gain))
+    return replace(mapping, map=optimised, views=tuple(views), num_steps=num_steps), done
 
 
 def _pose(view: View, mapping: MapState) -> jaxlie.SE3:
     """`T_world_cam` of a view, by where its keyframe is."""
     keyframe = jaxlie.SE3(jnp.asarray(mapping.keyframe_poses[view.keyframe]))
     return se3.compose(keyframe, view.T_keyframe_cam)
+
+
+def _mean_gain(mapping: MapState, config: MappingConfig) -> Float[Array, "3"] | None:
+    if not config.optimisation.estimate_exposure:
+        return None
+    return jnp.asarray(np.stack([view.gain for view in mapping.views]).mean(axis=0))
 
 
 def _timing(mapping: MapState) -> SensorTiming | None:

@@ -8,6 +8,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.geometry import is_held_out
 from sfgs_jax.slam.mapping._map_update import (
     follow_keyframes,
     insert_view,
@@ -156,8 +157,9 @@ class ThreadedMapWorker:
         with self._changed:
             self._keyframes = (state.graph.poses, state.row_times)
             if view is not None:
-                # Keyframes show what the map lacks, so they go first.
-                is_keyframe = state.graph.keyframes[view.keyframe].frame == view.frame
+                # Keyframes, or the frames in their places, show what the map lacks, so they go first.
+                keyframe = state.graph.keyframes[view.keyframe].frame
+                is_keyframe = view.frame - keyframe <= is_held_out(keyframe)
                 (self._keyframe_views if is_keyframe else self._other_views).append(view)
             self._changed.notify()
         return float("nan")

@@ -8,7 +8,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.geometry import Frame, clean_depth, downscale_depth, downscale_rgb
+from sfgs_jax.geometry import Frame, clean_depth, downscale_depth, downscale_rgb, is_held_out
 from sfgs_jax.slam.state._map_state import View
 
 
@@ -17,7 +17,8 @@ def view_is_due(
 ) -> bool:
     """True if a frame becomes a view: at an interval, and with every keyframe that shows something new.
 
-    A keyframe shows nothing new if an ordinary view was taken less than half an interval ago.
+    A keyframe shows nothing new if an ordinary view was taken less than half an interval ago. Every eighth
+    frame is kept for the evaluation; if it is a keyframe, the frame after it takes its place.
 
     Args:
         number: of the frame.
@@ -26,7 +27,10 @@ def view_is_due(
         interval: frames between two views.
         new_keyframe: whether the frame is the newest keyframe.
     """
+    if is_held_out(number):
+        return False
     since = number - last_view
+    new_keyframe |= is_held_out(number - 1) and keyframes[-1] == number - 1
     if not new_keyframe or len(keyframes) == 1:
         return new_keyframe or since >= interval
     ordinary_between = last_view > keyframes[-2]
@@ -52,7 +56,7 @@ def view_of(
         twist: motion of the camera per second in its own frame; zeros where it is not known.
     """
     rgb, depth, valid = _reduce(frame.rgb, frame.depth, frame.mask, factor)
-    return View(rgb, depth, valid, twist, keyframe, T_keyframe_cam, number)
+    return View(rgb, depth, valid, twist, keyframe, T_keyframe_cam, number, np.ones(3, np.float32))
 
 
 @partial(jax.jit, static_argnums=3)

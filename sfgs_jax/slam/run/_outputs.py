@@ -13,7 +13,7 @@ import jax
 
 from sfgs_jax.arrays import InputError, write_atomically
 from sfgs_jax.geometry import format_covariances, format_tum
-from sfgs_jax.sensors import SENSOR_FILE
+from sfgs_jax.sensors import EXPOSURE_FILE, SENSOR_FILE, format_gains
 from sfgs_jax.slam.run._driver import Run
 from sfgs_jax.slam.run._sensor_file import write_sensors
 from sfgs_jax.splatting import save_ply
@@ -27,10 +27,12 @@ OUTPUT_FILES = (
     "metrics.json",
     "config.json",
     SENSOR_FILE,
+    EXPOSURE_FILE,
+    "frames.csv",
     "report.html",
     "run.log",
 )
-"""Everything a run writes, `sensors.json` where it estimates its camera; --overwrite replaces all of it."""
+"""Everything a run writes, estimates of its camera where it made them; --overwrite replaces all of it."""
 
 
 STORAGE = "state"
@@ -67,12 +69,15 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
 
 
 def write_run(run: Run, folder: Path) -> None:
-    """Write the paths, `sensors.json`, `metrics.json` and `map.ply`, the smallest first.
+    """Write the paths, `exposure.txt`, `sensors.json`, `metrics.json` and `map.ply`, the smallest first.
 
     Raises:
         OSError: a file can't be written, for instance because the disk is full; those before it are whole.
     """
     write_trajectories(run, folder)
+    gains = run.state.gains
+    if gains is not None:
+        write_atomically(folder / EXPOSURE_FILE, format_gains(run.trajectory.timestamps, gains))
     write_sensors(run.state, folder / SENSOR_FILE)
     write_atomically(folder / "metrics.json", json.dumps(run_metrics(run), indent=2) + "\n")
     save_ply(folder / "map.ply", run.gaussians)

@@ -25,7 +25,7 @@ from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
 from sfgs_jax.slam.state import Adjustment, Edge, Keyframe, MapState, SlamState, View
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 7
+FORMAT_VERSION = 8
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -235,7 +235,8 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
         Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, motion[:6], motion[:3], 0)
     )
     none = np.zeros((0, 0), np.float32)
-    view = View(np.zeros((0, 0, 3), np.uint8), none, none > 0, motion[:6], 0, se3.identity(), 0)
+    image, gain = np.zeros((0, 0, 3), np.uint8), motion[:3]
+    view = View(image, none, none > 0, motion[:6], 0, se3.identity(), 0, gain)
     graph = replace(
         state.graph,
         keyframes=(keyframe,) * counts["keyframes"],

@@ -10,6 +10,7 @@ from sfgs_jax.slam.state._frame_log import FrameLog as FrameLog
 from sfgs_jax.slam.state._frame_log import covariances_of as covariances_of
 from sfgs_jax.slam.state._frame_log import empty_log as empty_log
 from sfgs_jax.slam.state._frame_log import trajectory_of as trajectory_of
+from sfgs_jax.slam.state._gains import gains_of as gains_of
 from sfgs_jax.slam.state._gaussian_map import GaussianMap as GaussianMap
 from sfgs_jax.slam.state._gaussian_map import empty_map as empty_map
 from sfgs_jax.slam.state._gaussian_map import grow as grow

@@ -24,6 +24,7 @@ class View:
         keyframe: number of the keyframe that it belongs to.
         T_keyframe_cam: its pose there.
         frame: its number in its source.
+        gain: (3,) of each channel against the map's colours, as last fitted; see `sensors.fitted_gain`.
     """
 
     rgb: UInt8[Array | np.ndarray, "h w 3"]
@@ -33,6 +34,7 @@ class View:
     keyframe: int
     T_keyframe_cam: jaxlie.SE3
     frame: int
+    gain: Float[Array | np.ndarray, "3"]
 
 
 @pytree

@@ -10,6 +10,7 @@ from sfgs_jax.arrays import pytree
 from sfgs_jax.geometry import Camera, Trajectory
 from sfgs_jax.slam.config import MappingConfig, SlamConfig
 from sfgs_jax.slam.state._frame_log import FrameLog, covariances_of, trajectory_of
+from sfgs_jax.slam.state._gains import gains_of
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._map_state import MapState
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
@@ -80,6 +81,16 @@ class SlamState:
     def covariances(self) -> Float[np.ndarray, "n 6 6"]:
         """Covariances of these poses: of tangents on the right, translation first, metres and radians."""
         return covariances_of(self.log, self.graph)
+
+    @property
+    def gains(self) -> Float[np.ndarray, "n 3"] | None:
+        """Gain of each channel of the tracked frames against the map's colours; see `sensors.fitted_gain`.
+
+        Those of the views are fitted, the others lie between them in time. None if they are not estimated.
+        """
+        if not self.config.mapping.optimisation.estimate_exposure:
+            return None
+        return gains_of(self.log, self.mapping.views)
 
 
 def mapping_factor(camera: Camera, config: MappingConfig) -> int:
