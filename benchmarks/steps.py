@@ -38,12 +38,14 @@ def steps_of(state: SlamState, grey: np.ndarray, depth: np.ndarray) -> dict[str,
     config, view = state.config.mapping, state.mapping.views[-1]
     window = window_of(state.params, state.graph, state.config.graph)
     params = MapParams(
-        state.mapping_camera,
-        None,
-        jnp.ones(3),
-        config.optimisation,
-        config.seeding,
-        state.mapping.pair_capacity,
+        camera=state.mapping_camera,
+        timing=None,
+        mean_gain=jnp.ones(3),
+        rate=jnp.ones(()),
+        config=config.optimisation,
+        seeding=config.seeding,
+        factor=2,
+        pair_capacity=state.mapping.pair_capacity,
     )
     pose = se3.compose(state.graph.pose(view.keyframe), view.T_keyframe_cam)
     elapsed = np.float32(1 / 30)

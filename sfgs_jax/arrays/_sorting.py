@@ -113,8 +113,10 @@ def masked_median(values: Float[Array, " N"], valid: Bool[Array, " N"]) -> Float
     count = jnp.sum(valid)
     middle = ordered[jnp.maximum(count - 1, 0) // 2]
     found = jax.lax.bitcast_convert_type(jnp.where(middle & top != 0, middle ^ top, ~middle), values.dtype)
-    # The derivative is with respect to the list, so the median is taken from there.
-    return jnp.where(count > 0, values[jnp.argmax(valid & (values == found))], 0)
+    # The derivative is with respect to the list, so the median is taken from there. The nearest value is: XLA
+    # may compute the list twice, with other rounding, and then none is equal.
+    off = jnp.where(valid, jnp.abs(jax.lax.stop_gradient(values) - found), jnp.inf)
+    return jnp.where(count > 0, values[jnp.argmin(off)], 0)
 
 
 def _word(dtype: jnp.dtype) -> type:

@@ -25,6 +25,6 @@ PRESETS: dict[str, SlamConfig] = {
     "rosbag": SlamConfig(),
     "video": SlamConfig(),
     "folder": SlamConfig(),
-    "synthetic": SlamConfig(mapping=MappingConfig(seeding=SeedingConfig(stride=3))),
+    "synthetic": SlamConfig(),
 }
 """Preset by dataset name."""

@@ -8,6 +8,8 @@ from sfgs_jax.splatting._compositing import composite as composite
 from sfgs_jax.splatting._config import RenderConfig as RenderConfig
 from sfgs_jax.splatting._gaussians import GAUSSIAN_PARAMETERS as GAUSSIAN_PARAMETERS
 from sfgs_jax.splatting._gaussians import Gaussians as Gaussians
+from sfgs_jax.splatting._image_alignment import ImageAlignment as ImageAlignment
+from sfgs_jax.splatting._image_alignment import align_image as align_image
 from sfgs_jax.splatting._losses import l1 as l1
 from sfgs_jax.splatting._losses import ssim as ssim
 from sfgs_jax.splatting._projection import Projected as Projected

@@ -11,9 +11,12 @@ import pytest
 from sfgs_jax import Camera, slam
 from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.mapping import insert_view, optimise_once, prune, seed, step_on_view, view_is_due, view_of
 from sfgs_jax.slam.state import View, empty_log, gains_of, grow, move
 from sfgs_jax.splatting import RenderConfig, render
+
+DEFAULT = MappingConfig()
 
 
 @pytest.fixture
@@ -157,7 +160,7 @@ def test_growing_keeps_every_gaussian(seeded):
 
 
 def test_seeds_of_a_slanted_plane_cover_it(config):
-    """Spacing down the slope is wider by the cosine, and the Gaussians stretch to fill it."""
+    """Cells are longer down the slope by the cosine of the slant, and the Gaussians stretch to fill them."""
     camera = Camera(80.0, 80.0, 47.5, 35.5, width=96, height=72)
     u = camera.pixels()[..., 0]
     depth = 2.0 / (1 - 1.0 * (u - camera.cx) / camera.fx)
@@ -177,8 +180,35 @@ def test_seeds_of_a_slanted_plane_cover_it(config):
     inside = (slice(10, -10), slice(10, -10))
     assert float(jnp.min(out.alpha[inside])) > 0.75
     np.testing.assert_allclose(out.depth[inside], depth[inside], rtol=0.03)
-    scales = jnp.exp(seeded.gaussians.log_scales[seeded.gaussians.valid])
-    np.testing.assert_allclose(jnp.median(scales[:, 1] / scales[:, 0]), 2**0.5, rtol=0.15)
+    used = np.asarray(seeded.gaussians.valid)
+    scales, points = (np.asarray(x)[used] for x in (seeded.gaussians.log_scales, seeded.gaussians.means))
+    cosine = np.abs(points @ [-(0.5**0.5), 0, 0.5**0.5]) / np.linalg.norm(points, axis=1)
+    stretch = np.exp(scales[:, 1] - scales[:, 0])
+    np.testing.assert_allclose(np.median(stretch * np.maximum(cosine, 0.25)), 1, rtol=0.03)
+
+
+def test_cells_are_small_where_there_is_detail(config):
+    """A wall, half of it bare and half of it striped: the largest cells and the smallest."""
+    camera = Camera(80.0, 80.0, 47.5, 35.5, width=96, height=72)
+    stripes = np.zeros((*camera.shape, 3), np.float32)
+    stripes[:, 48::2] = 1
+    state = slam.init(camera, config)
+    seeded, _ = seed(
+        state.mapping.map,
+        jnp.asarray(stripes),
+        jnp.full(camera.shape, 2.0),
+        jnp.ones(camera.shape, bool),
+        camera,
+        se3.identity(),
+        jnp.asarray(0, jnp.int32),
+        config.mapping.seeding,
+    )
+    used = np.asarray(seeded.gaussians.valid)
+    bare = np.asarray(seeded.gaussians.means)[used][:, 0] < 0
+    assert (int(bare.sum()), int((~bare).sum())) == (6 * 9, 24 * 36)
+    sizes = np.exp(np.asarray(seeded.gaussians.log_scales)[used][:, 0]) / config.mapping.seeding.scale * 40
+    np.testing.assert_allclose(sizes[bare], 8, rtol=1e-4)
+    np.testing.assert_allclose(sizes[~bare], 2, rtol=1e-4)
 
 
 def test_gaussians_move_with_their_keyframe(seeded):
@@ -205,11 +235,11 @@ def test_gaussians_move_with_their_keyframe(seeded):
 
 
 def test_every_eighth_frame_is_never_a_view():
-    due = [n for n in range(1, 40) if view_is_due(n, n - 8, [0], 8, new_keyframe=False)]
+    due = [n for n in range(1, 40) if view_is_due(n, n - 8, [0], DEFAULT, new_keyframe=False, shift=0.0)]
     assert sorted(set(range(1, 40)) - set(due)) == [4, 12, 20, 28, 36]
-    assert not view_is_due(12, 8, [0, 12], 8, new_keyframe=True)
-    assert view_is_due(13, 8, [0, 12], 8, new_keyframe=False)  # in place of the keyframe
-    assert not view_is_due(14, 8, [0, 12], 8, new_keyframe=False)
+    assert not view_is_due(12, 8, [0, 12], DEFAULT, new_keyframe=True, shift=0.0)
+    assert view_is_due(13, 8, [0, 12], DEFAULT, new_keyframe=False, shift=0.0)  # in place of the keyframe
+    assert not view_is_due(14, 8, [0, 12], DEFAULT, new_keyframe=False, shift=0.0)
 
 
 def test_views_of_other_exposures_make_one_map(seeded, frames):

@@ -30,8 +30,12 @@ class LearningRates:
 class SeedingConfig:
     """Placement and start of new Gaussians."""
 
-    stride: int = 2
-    """Spacing of new Gaussians, pixels of the reduced image."""
+    min_cell: int = 2
+    """Side of the smallest cell of a view's image that gets a Gaussian of its own, pixels."""
+    max_cell: int = 8
+    """Side of the largest cell, pixels: the smallest one doubled some times."""
+    colour_tolerance: float = 0.05
+    """Standard deviation of a colour channel, in [0, 1], beyond which a cell is divided into four."""
     min_alpha: float = 0.6
     """Accumulated opacity below which a pixel gets a Gaussian."""
     depth_margin: float = 0.05
@@ -40,7 +44,7 @@ class SeedingConfig:
     opacity: float = 0.7
     """Opacity of a new Gaussian."""
     scale: float = 0.6
-    """Standard deviation of a new Gaussian along the surface, in spacings of the seeds."""
+    """Standard deviation of a new Gaussian along the surface, in sides of its cell."""
     thickness: float = 0.3
     """Standard deviation of a new Gaussian across the surface, as a share of that along it."""
     max_depth: float = 12.0
@@ -48,10 +52,16 @@ class SeedingConfig:
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
-        check_counts(self, 1, "stride")
-        check_range(self, 0, 1, "min_alpha")
+        check_counts(self, 1, "min_cell", "max_cell")
+        check_range(self, 0, 1, "min_alpha", "colour_tolerance")
         check_range(self, 0, math.inf, "depth_margin")
         check_positive(self, "opacity", "scale", "thickness", "max_depth")
+        doublings = self.max_cell // self.min_cell
+        if self.max_cell % self.min_cell or doublings & (doublings - 1):
+            raise InputError(
+                f"The setting max_cell must be min_cell ({self.min_cell}) doubled some times, "
+                f"not {self.max_cell!r}."
+            )
         if not self.opacity < 1:
             raise InputError(f"The setting opacity must be a number between 0 and 1, not {self.opacity!r}.")
 
@@ -80,9 +90,11 @@ class OptimisationConfig:
 class MappingConfig:
     """Growth and optimisation of the map."""
 
-    max_width: int = 320
-    """Largest width of the images that mapping works on, pixels. Larger ones are reduced by the smallest
-    whole factor."""
+    max_width: int = 640
+    """Largest width of the views' images, pixels. Larger ones are reduced by the smallest whole factor."""
+    live_max_width: int = 320
+    """Largest width at which a view is rendered while frames are tracked, and at the beginning of the
+    refinement, pixels."""
     capacity: int = 131_072
     """Gaussians that the map has room for at first. It doubles when full."""
     max_capacity: int = 1_048_576
@@ -98,8 +110,18 @@ class MappingConfig:
     """Map steps after each tracked frame."""
     steps_per_view: int = 1
     """Map steps on a new view. The first comes before Gaussians are set where they are missing."""
+    max_view_shift: float = 0.15
+    """Shift of the image since the last view with which a frame becomes a view before the interval is over,
+    as a share of the image's width."""
     final_steps: int = 1000
-    """Map steps over all views after the last frame."""
+    """Map steps over all views after the last frame: the refinement."""
+    final_seconds: float = 0.0
+    """Seconds of refinement in place of a number of steps; 0 means `final_steps`. A run with it does not
+    repeat itself to the bit."""
+    fine_share: float = 0.5
+    """Share of the refinement, at its end, in which views are rendered at their whole size."""
+    final_rate: float = 0.1
+    """Factor on the learning rates that the refinement ends with."""
     newest_share: float = 0.3
     """Share of the map steps that goes to the newest view. The others go to views drawn uniformly."""
     prune_interval: int = 200
@@ -113,7 +135,10 @@ class MappingConfig:
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
-        check_counts(self, 1, "max_width", "capacity", "pair_capacity", "view_interval", "prune_interval")
+        check_counts(self, 1, "max_width", "live_max_width", "capacity", "pair_capacity")
+        check_counts(self, 1, "view_interval", "prune_interval")
         check_counts(self, self.capacity, "max_capacity")
         check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")
-        check_range(self, 0, 1, "newest_share", "prune_opacity")
+        check_range(self, 0, 1, "newest_share", "prune_opacity", "fine_share", "final_rate")
+        check_range(self, 0, math.inf, "final_seconds")
+        check_positive(self, "max_view_shift")

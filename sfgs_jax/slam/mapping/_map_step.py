@@ -8,9 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from sfgs_jax.geometry import Camera
+from sfgs_jax.geometry import Camera, downscale_depth, downscale_rgb
 from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time, fitted_gain, with_gain
 from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
 from sfgs_jax.slam.mapping._seeding import uncovered
@@ -48,22 +48,26 @@ def mapping_loss(
 
 
 class MapParams(eqx.Module):
-    """Parameters of a map step; all but what is known of the camera is static.
+    """Parameters of a map step; all but what is known of the camera and the rate is static.
 
     Attributes:
         camera: intrinsics of the views.
         timing: times of the camera's rows; None if images count as taken at once.
         mean_gain: mean of the views' gains; None if images count as exposed alike.
+        rate: factor on the learning rates.
         config: loss and learning rates.
         seeding: settings that say where the map lacks surface.
+        factor: whole factor by which a view is reduced before it is rendered.
         pair_capacity: pairs of tile and Gaussian that a rendering has room for.
     """
 
     camera: Camera
     timing: SensorTiming | None
     mean_gain: Float[Array, "3"] | None
+    rate: Float[ArrayLike, ""]
     config: OptimisationConfig = eqx.field(static=True)
     seeding: SeedingConfig = eqx.field(static=True)
+    factor: int = eqx.field(static=True)
     pair_capacity: int = eqx.field(static=True)
 
 
@@ -73,7 +77,7 @@ class MapStep(NamedTuple):
     Attributes:
         map: after the step.
         loss: before it.
-        missing: (h, w) pixels whose surface the map lacked before it.
+        missing: (h, w) pixels of the reduced view whose surface the map lacked before it.
         gain: of the view's colours against the map's; ones if they count as exposed alike.
         seed_gain: the same for the colours of new Gaussians, where the map is still transparent.
         overflow: pairs that did not fit. Where it is not 0 the rendering was incomplete; repeat the step with
@@ -88,21 +92,30 @@ class MapStep(NamedTuple):
     overflow: Int[Array, ""]
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="factor")
 def seen_by(
-    view: View, camera: Camera, timing: SensorTiming | None
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"]]:
-    """Colour of a view in [0, 1], and its depth when the same rows of colour were exposed.
+    view: View, camera: Camera, timing: SensorTiming | None, *, factor: int = 1
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"], Bool[Array, "h w"]]:
+    """Colour of a view in [0, 1], its depth when the same rows of colour were exposed, and its valid pixels.
 
     Args:
         view: the view.
-        camera: its intrinsics.
+        camera: intrinsics of the reduced view.
         timing: times of its rows; None if its images count as taken at once.
+        factor: whole factor by which to reduce the view.
     """
-    depth = jnp.asarray(view.depth)
+    rgb, depth, valid = (
+        jnp.asarray(view.rgb, jnp.float32) / 255,
+        jnp.asarray(view.depth),
+        jnp.asarray(view.valid),
+    )
+    if factor > 1:
+        rgb, depth = downscale_rgb(rgb, factor), downscale_depth(depth, factor)
+        h, w = depth.shape
+        valid = valid[: h * factor, : w * factor].reshape(h, factor, w, factor).all(axis=(1, 3))
     if timing is not None:
         depth = depth_in_time(depth, camera, jnp.asarray(view.twist), timing)
-    return jnp.asarray(view.rgb, jnp.float32) / 255, depth
+    return rgb, depth, valid
 
 
 @jax.jit
@@ -119,7 +132,8 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
         view: images to be like.
         T_world_cam: its pose when colour's middle row was exposed.
     """
-    rgb, depth = seen_by(view, params.camera, params.timing)
+    camera = params.camera.downscaled(params.factor) if params.factor > 1 else params.camera
+    rgb, depth, valid = seen_by(view, camera, params.timing, factor=params.factor)
     shutter = None
     if params.timing is not None:
         shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
@@ -127,27 +141,26 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
 
     def loss_of(values: Parameters) -> tuple[Array, tuple[Array, Array, Array, Array]]:
         gaussians = with_parameters(gaussian_map.gaussians, values)
-        out = render(gaussians, params.camera, T_world_cam, shutter=shutter, config=config)
+        out = render(gaussians, camera, T_world_cam, shutter=shutter, config=config)
         lacking = uncovered(out, depth, params.seeding)
         gain = seed_gain = jnp.ones(3)
         if params.mean_gain is not None:
-            gain, seed_gain = _gains(view, jax.lax.stop_gradient(out), rgb, depth, lacking, params.seeding)
+            gain, seed_gain = _gains(jax.lax.stop_gradient(out), rgb, depth, valid & ~lacking, params.seeding)
             # Only what tells this view from the others: the map itself keeps their mean.
             out = replace(out, rgb=with_gain(out.rgb, gain / params.mean_gain))
-        loss = mapping_loss(out, rgb, depth, jnp.asarray(view.valid), params.config)
+        loss = mapping_loss(out, rgb, depth, valid, params.config)
         return loss, (lacking, gain, seed_gain, out.overflow)
 
     values = parameters(gaussian_map.gaussians)
     (loss, about), gradients = jax.value_and_grad(loss_of, has_aux=True)(values)
-    return MapStep(_adam(gaussian_map, gradients, params.config), loss, *about)
+    return MapStep(_adam(gaussian_map, gradients, params.config, params.rate), loss, *about)
 
 
 def _gains(
-    view: View,
     out: RenderOutput,
     rgb: Float[Array, "h w 3"],
     depth: Float[Array, "h w"],
-    lacking: Bool[Array, "h w"],
+    here: Bool[Array, "h w"],
     config: SeedingConfig,
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Gains of a view where the map has the surface that it measures.
@@ -156,13 +169,18 @@ def _gains(
     opaque yet, the rendered colours are darker by its opacity.
     """
     close = out.depth > depth * (1 - config.depth_margin)
-    shown = (jnp.asarray(view.valid) & (depth > 0) & ~lacking & close).astype(rgb.dtype)
+    shown = (here & (depth > 0) & close).astype(rgb.dtype)
     prior_pixels = _PRIOR_SHARE * shown.size
     covered = rgb * out.alpha[..., None]
     return fitted_gain(out.rgb, rgb, shown, prior_pixels), fitted_gain(out.rgb, covered, shown, prior_pixels)
 
 
-def _adam(gaussian_map: GaussianMap, gradients: Parameters, config: OptimisationConfig) -> GaussianMap:
+def _adam(
+    gaussian_map: GaussianMap,
+    gradients: Parameters,
+    config: OptimisationConfig,
+    factor: Float[ArrayLike, ""],
+) -> GaussianMap:
     """The map after a step of Adam on the Gaussians that have a gradient (Kingma and Ba, ICLR 2015)."""
     values = parameters(gaussian_map.gaussians)
     seen = gaussian_map.gaussians.valid & jnp.any(gradients["means"] != 0, axis=-1)
@@ -171,7 +189,7 @@ def _adam(gaussian_map: GaussianMap, gradients: Parameters, config: Optimisation
     for name, gradient in gradients.items():
         here = seen.reshape(seen.shape + (1,) * (gradient.ndim - 1))
         count = jnp.maximum(updates, 1).reshape(here.shape)
-        rate = getattr(config.learning_rates, name)
+        rate = getattr(config.learning_rates, name) * factor
         m = _BETA1 * gaussian_map.first_moment[name] + (1 - _BETA1) * gradient
         v = _BETA2 * gaussian_map.second_moment[name] + (1 - _BETA2) * gradient**2
         step = (m / (1 - _BETA1**count)) / (jnp.sqrt(v / (1 - _BETA2**count)) + _EPSILON)

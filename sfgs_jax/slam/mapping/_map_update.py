@@ -7,11 +7,12 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.sensors import SensorTiming, with_gain
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.mapping._map_step import MapParams, MapStep, map_step, prune, seen_by
 from sfgs_jax.slam.mapping._seeding import seed
+from sfgs_jax.slam.state._frame_log import FrameLog
 from sfgs_jax.slam.state._gaussian_map import grow, move
 from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._slam_state import SlamState
@@ -66,6 +67,29 @@ def follow_keyframes(
     return replace(mapping, keyframe_poses=keyframe_poses, times=times)
 
 
+def follow_trajectory(mapping: MapState, log: FrameLog, trajectory: Trajectory) -> MapState:
+    """The map with its views where the trajectory has their frames.
+
+    While a run lasts, a view stays where it is in its keyframe. Later frames between two keyframes share the
+    correction of the motion between them, so at the end their views do too.
+
+    Args:
+        mapping: the map, which knows where the keyframes are.
+        log: the frames.
+        trajectory: their poses.
+    """
+    rows = {number: row for row, number in enumerate(log.numbers.tolist())}
+    T_world_keyframe = se3.matrices_of(mapping.keyframe_poses)
+
+    def moved(view: View) -> View:
+        pose = np.linalg.inv(T_world_keyframe[view.keyframe]) @ trajectory.poses[rows[view.frame]]
+        return replace(view, T_keyframe_cam=se3.from_matrix(pose))
+
+    return replace(
+        mapping, views=tuple(moved(view) if view.frame in rows else view for view in mapping.views)
+    )
+
+
 def insert_view(
     mapping: MapState, view: View, camera: Camera, config: MappingConfig
 ) -> tuple[MapState, float]:
@@ -88,7 +112,7 @@ def insert_view(
     mapping = stepped if config.steps_per_view else replace(mapping, pair_capacity=room)
     mapping = replace(mapping, views=(*mapping.views[:-1], replace(view, gain=seed_gain)))
     T_world_cam, keyframe = _pose(view, mapping), jnp.asarray(view.keyframe, jnp.int32)
-    rgb, depth = seen_by(view, camera, _timing(mapping))
+    rgb, depth, _ = seen_by(view, camera, _timing(mapping))
     rgb = with_gain(rgb, 1 / done.seed_gain)
     while True:
         seeded, dropped = seed(
@@ -129,7 +153,13 @@ def optimise_once(
 
 
 def step_on_view(
-    mapping: MapState, number: int, camera: Camera, config: MappingConfig
+    mapping: MapState,
+    number: int,
+    camera: Camera,
+    config: MappingConfig,
+    *,
+    fine: bool = False,
+    rate: float = 1.0,
 ) -> tuple[MapState, MapStep]:
     """One map step on a view, with as much room for pairs as it needs.
 
@@ -138,32 +168,44 @@ def step_on_view(
         number: of the view; -1 is the newest.
         camera: of the views.
         config: settings.
+        fine: render the view at its whole size.
+        rate: factor on the learning rates.
 
     Returns:
         The map state after the step, and what the step found.
     """
     view = mapping.views[number]
     T_world_cam, mean_gain = _pose(view, mapping), _mean_gain(mapping, config)
+    factor = 1 if fine else _live_factor(camera, config)
+    room_of = "fine_pair_capacity" if fine else "pair_capacity"
     while True:
         params = MapParams(
-            camera,
-            _timing(mapping),
-            mean_gain,
-            config.optimisation,
-            config.seeding,
-            mapping.pair_capacity,
+            camera=camera,
+            timing=_timing(mapping),
+            mean_gain=mean_gain,
+            rate=jnp.asarray(rate, jnp.float32),
+            config=config.optimisation,
+            seeding=config.seeding,
+            factor=factor,
+            pair_capacity=getattr(mapping, room_of),
         )
         done = map_step(params, mapping.map, view, T_world_cam)
         if not int(done.overflow):
             break
-        need = pair_capacity(mapping.map.gaussians, camera, T_world_cam, headroom=_HEADROOM)
-        mapping = replace(mapping, pair_capacity=max(need, 2 * mapping.pair_capacity))
+        seen = camera.downscaled(factor) if factor > 1 else camera
+        need = pair_capacity(mapping.map.gaussians, seen, T_world_cam, headroom=_HEADROOM)
+        mapping = replace(mapping, **{room_of: max(need, 2 * params.pair_capacity)})
     num_steps, optimised = mapping.num_steps + 1, done.map
     if num_steps % config.prune_interval == 0:
         optimised = prune(optimised, config.prune_opacity)
     views = list(mapping.views)
     views[number] = replace(view, gain=np.asarray(done.gain))
     return replace(mapping, map=optimised, views=tuple(views), num_steps=num_steps), done
+
+
+def _live_factor(camera: Camera, config: MappingConfig) -> int:
+    """Whole factor by which views are reduced for a step that is not fine."""
+    return max(1, -(-camera.width // config.live_max_width))
 
 
 def _pose(view: View, mapping: MapState) -> jaxlie.SE3:

@@ -8,14 +8,67 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.geometry import Frame, clean_depth, downscale_depth, downscale_rgb, is_held_out
+from sfgs_jax.geometry import Camera, Frame, clean_depth, downscale_depth, downscale_rgb, is_held_out, se3
+from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.state._frame_log import FrameLog
 from sfgs_jax.slam.state._map_state import View
 
 
+def image_shift(
+    T_last_cam: Float[np.ndarray, "4 4"], depth: Float[np.ndarray, "h w"], camera: Camera
+) -> float:
+    """Largest motion of the image's corners from one frame to another, as a share of the image's width.
+
+    Args:
+        T_last_cam: from the later frame to the one before.
+        depth: of the later frame, metres along z; 0 where missing. Its corners count as this deep on average.
+        camera: intrinsics of both.
+    """
+    sample = depth[:: max(1, depth.shape[0] // 32), :: max(1, depth.shape[1] // 32)]
+    known = sample[np.isfinite(sample) & (sample > 0)]
+    distance = float(np.median(known)) if known.size else 1.0
+    K = np.asarray(camera.matrix(), np.float64)
+    right, bottom = camera.width - 1.0, camera.height - 1.0
+    corners = np.array([[0, 0, 1], [right, 0, 1], [0, bottom, 1], [right, bottom, 1]])
+    points = distance * corners @ np.linalg.inv(K).T
+    moved = points @ T_last_cam[:3, :3].T + T_last_cam[:3, 3]
+    if np.any(moved[:, 2] < 0.1 * distance):
+        return np.inf
+    there = moved @ K.T
+    motion = there[:, :2] / there[:, 2:] - corners[:, :2]
+    return float(np.max(np.linalg.norm(motion, axis=1))) / camera.width
+
+
+def shift_since(
+    log: FrameLog, keyframe_poses: Float[np.ndarray, "n 7"], last_view: int, frame: Frame, camera: Camera
+) -> float:
+    """`image_shift` of the newest frame of a log since the frame that was the last view; 0 if there is none.
+
+    Args:
+        log: the frames.
+        keyframe_poses: `T_world_cam` of their keyframes as wxyz_xyz.
+        last_view: number of the frame.
+        frame: the newest one.
+        camera: intrinsics.
+    """
+    rows = log.positions([last_view])
+    if not len(rows):
+        return 0.0
+    pair = [int(rows[0]), -1]
+    T_world_cam = se3.matrices_of(keyframe_poses[log.keyframes[pair]]) @ se3.matrices_of(log.motions[pair])
+    return image_shift(np.linalg.inv(T_world_cam[0]) @ T_world_cam[1], np.asarray(frame.depth), camera)
+
+
 def view_is_due(
-    number: int, last_view: int, keyframes: list[int], interval: int, *, new_keyframe: bool
+    number: int,
+    last_view: int,
+    keyframes: list[int],
+    config: MappingConfig,
+    *,
+    new_keyframe: bool,
+    shift: float,
 ) -> bool:
-    """True if a frame becomes a view: at an interval, and with every keyframe that shows something new.
+    """True if a frame becomes a view: at an interval, once the image has moved on, and with most keyframes.
 
     A keyframe shows nothing new if an ordinary view was taken less than half an interval ago. Every eighth
     frame is kept for the evaluation; if it is a keyframe, the frame after it takes its place.
@@ -24,17 +77,20 @@ def view_is_due(
         number: of the frame.
         last_view: number of the newest frame that became a view.
         keyframes: frame numbers of the newest two keyframes, or of the first alone.
-        interval: frames between two views.
+        config: settings.
         new_keyframe: whether the frame is the newest keyframe.
+        shift: of the image since that view; see `image_shift`.
     """
     if is_held_out(number):
         return False
     since = number - last_view
     new_keyframe |= is_held_out(number - 1) and keyframes[-1] == number - 1
+    if shift >= config.max_view_shift:
+        return True
     if not new_keyframe or len(keyframes) == 1:
-        return new_keyframe or since >= interval
+        return new_keyframe or since >= config.view_interval
     ordinary_between = last_view > keyframes[-2]
-    return not ordinary_between or 2 * since >= interval
+    return not ordinary_between or 2 * since >= config.view_interval
 
 
 def view_of(
@@ -45,7 +101,7 @@ def view_of(
     number: int,
     twist: Float[Array | np.ndarray, "6"],
 ) -> View:
-    """A view of a frame at the mapping resolution.
+    """A view of a frame.
 
     Args:
         frame: colour image and depth; depth that is not finite or not positive counts as missing.

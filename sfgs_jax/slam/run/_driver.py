@@ -1,5 +1,6 @@
 """The driver: runs the steps over a source of frames and keeps what they found."""
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +19,8 @@ from sfgs_jax.slam.mapping import (
     MapWorker,
     ThreadedMapWorker,
     follow_keyframes,
-    optimise_once,
+    follow_trajectory,
+    refine_once,
 )
 from sfgs_jax.slam.run._stopwatch import Stopwatch
 from sfgs_jax.slam.run._storage import load, save, saved_facts, spill, spill_views
@@ -61,6 +63,7 @@ class Run:
         num_skipped: frames that could not be decoded.
         num_dropped: frames that came while another was being tracked, in real time.
         num_refined: map steps done after the last frame.
+        refinement_ms: time that they took, milliseconds.
         interrupted: whether it was ended before its source was.
         stopwatch: times of its stages.
     """
@@ -70,6 +73,7 @@ class Run:
     num_skipped: int = 0
     num_dropped: int = 0
     num_refined: int = 0
+    refinement_ms: int = 0
     interrupted: bool = False
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
 
@@ -129,6 +133,7 @@ def save_run(run: Run, folder: Path | str) -> None:
         num_skipped=run.num_skipped,
         num_dropped=run.num_dropped,
         num_refined=run.num_refined,
+        refinement_ms=run.refinement_ms,
     )
 
 
@@ -150,6 +155,7 @@ def load_run(folder: Path | str, config: SlamConfig, camera: Camera | None = Non
         num_skipped=facts["num_skipped"],
         num_dropped=facts["num_dropped"],
         num_refined=facts["num_refined"],
+        refinement_ms=facts["refinement_ms"],
     )
 
 
@@ -261,14 +267,31 @@ def _refine(run: Run, observer: Callable[[Progress], None]) -> None:
     state, config = run.state, run.config
     if not state.mapping.views:
         return
-    while run.num_refined < config.mapping.final_steps:
+    mapping = follow_trajectory(state.mapping, state.log, run.trajectory)
+    run.state = replace(state, mapping=mapping)
+    while (done := _refined_share(run)) < 1:
+        start = time.perf_counter()
         with run.stopwatch("refinement"):
-            mapping, _ = optimise_once(
-                run.state.mapping, state.mapping_camera, config.mapping, newest_share=0.0, seed=config.seed
+            mapping, _ = refine_once(
+                run.state.mapping,
+                state.mapping_camera,
+                config.mapping,
+                number=run.num_refined,
+                done=done,
+                seed=config.seed,
             )
         run.state = replace(run.state, mapping=mapping)
         run.num_refined += 1
+        run.refinement_ms += round(1e3 * (time.perf_counter() - start))
         observer(Progress("refinement", run.num_refined, mapping.num_gaussians, None, None, run))
+
+
+def _refined_share(run: Run) -> float:
+    """Share of the refinement that is done, by its time or by its steps."""
+    config = run.config.mapping
+    if config.final_seconds > 0:
+        return run.refinement_ms / 1e3 / config.final_seconds
+    return run.num_refined / config.final_steps if config.final_steps else 1.0
 
 
 def _check_skipped(run: Run) -> None:

@@ -53,7 +53,7 @@ class SlamState:
 
     @property
     def mapping_camera(self) -> Camera:
-        """Intrinsics of the reduced images that mapping works on."""
+        """Intrinsics of the views' images."""
         return mapping_camera(self.camera, self.config.mapping)
 
     @property
@@ -94,7 +94,7 @@ class SlamState:
 
 
 def mapping_factor(camera: Camera, config: MappingConfig) -> int:
-    """Whole factor by which mapping reduces the images.
+    """Whole factor by which the images of views are reduced.
 
     Args:
         camera: intrinsics of the frames.
@@ -104,7 +104,7 @@ def mapping_factor(camera: Camera, config: MappingConfig) -> int:
 
 
 def mapping_camera(camera: Camera, config: MappingConfig) -> Camera:
-    """Intrinsics of the reduced images.
+    """Intrinsics of the views' images.
 
     Args:
         camera: intrinsics of the frames.

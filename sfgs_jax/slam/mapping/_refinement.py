@@ -1,0 +1,41 @@
+"""Refinement: map steps over all views once the recording has ended.
+
+Views come in shuffled epochs. The learning rates decay, so that the map comes to rest, and the last share of
+the steps renders views at their whole size.
+"""
+
+import numpy as np
+
+from sfgs_jax.geometry import Camera
+from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.mapping._map_update import step_on_view
+from sfgs_jax.slam.state._map_state import MapState
+
+
+def refine_once(
+    mapping: MapState, camera: Camera, config: MappingConfig, *, number: int, done: float, seed: int
+) -> tuple[MapState, float]:
+    """One step of the refinement.
+
+    Args:
+        mapping: the map and at least one view.
+        camera: of the views.
+        config: settings.
+        number: of the step, from 0.
+        done: share of the refinement that lies behind it.
+        seed: of the order of the views.
+
+    Returns:
+        The map state, and the loss of the map before.
+    """
+    epoch, place = divmod(number, len(mapping.views))
+    order = np.random.default_rng([seed, epoch]).permutation(len(mapping.views))
+    mapping, stepped = step_on_view(
+        mapping,
+        int(order[place]),
+        camera,
+        config,
+        fine=done >= 1 - config.fine_share,
+        rate=config.final_rate**done,
+    )
+    return mapping, float(stepped.loss)
