@@ -71,6 +71,8 @@ class RunOptions:
     """Go on with the run in the output folder where it was stopped."""
     realtime: bool = False
     """Play the recording by its own clock. Frames that come while another is tracked are dropped."""
+    refine: float | None = None
+    """Seconds in which to refine the map after the last frame, in place of a number of steps."""
     ablation: Ablation = "none"
     """Part of the system to leave out or to replace, on top of all other settings."""
     evaluate: bool = True
@@ -97,7 +99,9 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
         print(_USAGE, file=sys.stderr)
         return 2
     source, options, recording = _open(arguments)
-    options = dataclasses.replace(options, slam=ablated(options.slam, options.ablation))
+    options = dataclasses.replace(
+        options, slam=_refined(ablated(options.slam, options.ablation), options.refine)
+    )
     known = read_sensors(options.sensors) if options.sensors is not None else None
     path = None if options.sensors is None else options.sensors.absolute()
     config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam, path)
@@ -135,6 +139,12 @@ def _parse(arguments: list[str], defaults: RunOptions) -> tuple[str, RunOptions]
         return source, options
 
     return tyro.cli(parsed, prog="sfgs-jax run", args=arguments)
+
+
+def _refined(config: SlamConfig, seconds: float | None) -> SlamConfig:
+    if seconds is None:
+        return config
+    return dataclasses.replace(config, mapping=dataclasses.replace(config.mapping, final_seconds=seconds))
 
 
 def _absolute(source: str) -> str:

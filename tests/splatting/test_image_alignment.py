@@ -26,7 +26,7 @@ def surface_of(T_world_cam) -> tuple[np.ndarray, np.ndarray]:
     distances = np.where(np.asarray(distances) > 0, distances, np.inf)
     points = T[:3, 3] + rays * np.min(distances, axis=0)[..., None]
     waves = [np.sin(points @ np.asarray(k)) for k in ((9, 3, 2), (-2, 8, 5), (4, -3, 10), (2, 1, 1))]
-    grey = 0.5 + 0.1 * sum(waves)
+    grey = 0.5 + 0.1 * np.sum(waves, axis=0)
     return np.repeat(grey[..., None], 3, axis=-1).astype(np.float32), np.min(distances, axis=0)
 
 
