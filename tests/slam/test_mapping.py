@@ -5,6 +5,7 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jaxlie
 import numpy as np
 import pytest
 
@@ -12,11 +13,23 @@ from sfgs_jax import Camera, slam
 from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.mapping import insert_view, optimise_once, prune, seed, step_on_view, view_is_due, view_of
+from sfgs_jax.slam.mapping import (
+    image_shift,
+    insert_view,
+    optimise_once,
+    prune,
+    refine_once,
+    seed,
+    step_on_view,
+    view_is_due,
+    view_of,
+)
 from sfgs_jax.slam.state import View, empty_log, gains_of, grow, move
 from sfgs_jax.splatting import RenderConfig, render
 
 DEFAULT = MappingConfig()
+QUALITY_DB = 20.0
+"""PSNR of the small map, held-out frames among its scored ones."""
 
 
 @pytest.fixture
@@ -234,6 +247,20 @@ def test_gaussians_move_with_their_keyframe(seeded):
     assert float(jnp.mean(jnp.abs(after.rgb - before.rgb))) < 5e-3
 
 
+def test_the_shift_of_an_image_is_its_corners():
+    """A turn by a small angle and a step to the side, at two depths; a turn away sees nothing of it."""
+    camera = Camera(100.0, 100.0, 49.5, 39.5, width=100, height=80)
+    near, far = (np.full(camera.shape, depth, np.float32) for depth in (1.0, 4.0))
+    aside = np.eye(4)
+    aside[0, 3] = 0.05
+    assert image_shift(aside, near, camera) == pytest.approx(0.05, rel=1e-6)
+    assert image_shift(aside, far, camera) == pytest.approx(0.0125, rel=1e-6)
+    assert image_shift(aside, np.zeros_like(near), camera) == pytest.approx(0.05, rel=1e-6)
+    turn = se3.to_matrices(jaxlie.SE3(se3.exp(jnp.asarray([0, 0, 0, 0, 0.01, 0.0])).wxyz_xyz[None]))[0]
+    assert 0.01 < image_shift(turn, far, camera) < 0.014
+    assert image_shift(np.diag([-1.0, 1, -1, 1]), near, camera) == np.inf
+
+
 def test_every_eighth_frame_is_never_a_view():
     due = [n for n in range(1, 40) if view_is_due(n, n - 8, [0], DEFAULT, new_keyframe=False, shift=0.0)]
     assert sorted(set(range(1, 40)) - set(due)) == [4, 12, 20, 28, 36]
@@ -273,3 +300,47 @@ def test_gains_of_frames_lie_between_those_of_the_views():
     )  # fmt: skip
     np.testing.assert_allclose(gains_of(log, views)[:, 0], [0.5, 0.5, 0.875, 1.5, 1.5])
     np.testing.assert_array_equal(gains_of(log, ()), np.ones((5, 3)))
+
+
+@pytest.fixture(scope="module")
+def refined(room, frames, config):
+    """A map of twelve frames before and after 48 steps of refinement, with its settings."""
+    wide = replace(config.mapping, max_view_shift=0.05, steps_per_view=1)
+    state = slam.init(room.camera, replace(config, mapping=wide))
+    for frame in frames:
+        state, _ = slam.step(state, frame)
+    mapping, losses = state.mapping, []
+    for number in range(48):
+        mapping, loss = refine_once(
+            mapping, state.mapping_camera, wide, number=number, done=number / 48, seed=0
+        )
+        losses.append(loss)
+    return state, mapping, losses
+
+
+def test_the_quality_of_a_small_map(refined, frames):
+    """Gate: frame 4 and its neighbours were never views. A change that costs half a decibel fails here."""
+    state, mapping, _ = refined
+    after = replace(state, mapping=mapping)
+    figures = []
+    for number in (3, 4, 5):
+        pose = se3.from_matrix(after.trajectory.poses[number])
+        out = render(after.gaussians, after.camera, pose, config=RenderConfig(pair_capacity=65_536))
+        assert int(out.overflow) == 0
+        figures.append(float(psnr(out.rgb, jnp.asarray(frames[number].rgb))))
+    print("QQ", figures, np.mean(figures))
+    assert np.mean(figures) > QUALITY_DB - 0.5
+
+
+def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):
+    state, mapping, losses = refined
+    views = len(state.mapping.views)
+    assert mapping.num_steps == state.mapping.num_steps + 48
+    assert np.mean(losses[-views:]) < 0.7 * np.mean(losses[:views])
+    config = state.config.mapping
+    first, last = (
+        refine_once(mapping, state.mapping_camera, config, number=48, done=done, seed=0)[0]
+        for done in (0.0, 1.0)
+    )
+    moved = [jnp.abs(after.map.gaussians.sh - mapping.map.gaussians.sh).max() for after in (first, last)]
+    assert float(moved[1]) == pytest.approx(config.final_rate * float(moved[0]), rel=0.05)

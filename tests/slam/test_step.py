@@ -137,9 +137,15 @@ def test_adjust_finds_the_same_window_from_another_start(hasty_run, config, rng)
     np.testing.assert_array_equal(poses[0], window.values.poses.wxyz_xyz[0])
 
 
+def test_an_image_that_has_moved_on_is_a_view(room, frames, config):
+    """Frames turn by some degrees each: with a small shift asked for, every frame but each eighth is one."""
+    state, _ = follow(room, frames[:6], replace(config, mapping=replace(config.mapping, max_view_shift=0.01)))
+    assert [view.frame for view in state.mapping.views] == [0, 1, 2, 3, 5]
+
+
 def test_a_keyframe_is_no_view_where_one_was_just_taken(room, frames, config):
     """The camera rests, which makes no keyframes, and then is elsewhere."""
-    regular = replace(config, mapping=replace(config.mapping, view_interval=5))
+    regular = replace(config, mapping=replace(config.mapping, view_interval=5, max_view_shift=10.0))
     for number, views in ((6, [0, 5]), (8, [0, 5, 8])):
         state, infos = follow(room, [frames[0]] * number, regular)
         assert [info.new_keyframe for info in infos] == [True] + [False] * (number - 1)
