@@ -12,16 +12,16 @@ rank, which strict promotion refuses, so promotion is allowed locally.
 
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Num
+from jaxtyping import Array, Float, Num, Shaped
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, described, is_array, is_known, printed
 from sfgs_jax.geometry._rotations import (
     quaternions_from_rotations,
     rotation_vectors,
@@ -58,7 +58,9 @@ def identity(dtype: jnp.dtype | type = jnp.float32) -> jaxlie.SE3:
     return jaxlie.SE3(jnp.asarray([1, 0, 0, 0, 0, 0, 0], dtype))
 
 
-def as_se3(pose: object, *, name: str = "A pose", axes: int | None = 0) -> jaxlie.SE3:
+def as_se3(
+    pose: jaxlie.SE3 | Shaped[Array | np.ndarray, "..."], *, name: str = "A pose", axes: int | None = 0
+) -> jaxlie.SE3:
     """The motion of a `jaxlie.SE3`, which is passed on, or of a homogeneous 4 x 4 matrix.
 
     Differentiable and free of checks of the values under `jit`; an array of the host keeps float64 until the
@@ -79,11 +81,25 @@ def as_se3(pose: object, *, name: str = "A pose", axes: int | None = 0) -> jaxli
             raise InputError(f"{name} is a jaxlie.SE3 or a 4 x 4 matrix, not an array of shape {pose.shape}.")
         leading, kind = pose.shape[:-2], "matrices"
     else:
-        raise InputError(f"{name} is a jaxlie.SE3 or a 4 x 4 matrix, not {type(pose).__name__}.")
+        raise InputError(f"{name} is a jaxlie.SE3 or a 4 x 4 matrix, not {described(pose)}.")
     if axes is not None and len(leading) != axes:
         wanted = "one motion; use vmap for several" if axes == 0 else f"an array of motions with {axes} axis"
         raise InputError(f"{name} is {wanted}, not {kind} of shape {leading}.")
     return pose if isinstance(pose, jaxlie.SE3) else _from_matrices(pose, name)
+
+
+def text_of(T: Any) -> str:
+    """A motion as text, its translation in metres and its angle; of a traced or batched one the shape.
+
+    Args:
+        T: `jaxlie.SE3`; anything else is printed as it is.
+    """
+    parameters = getattr(T, "wxyz_xyz", T)
+    if not is_array(parameters) or not is_known(parameters) or parameters.shape != (7,):
+        return printed(parameters)
+    wxyz, (x, y, z) = np.split(np.asarray(parameters, np.float64), [4])
+    degrees = np.degrees(2 * np.arctan2(np.linalg.norm(wxyz[1:]), abs(wxyz[0])))
+    return f"({x:.4g}, {y:.4g}, {z:.4g}) m {degrees:.3g}°"
 
 
 def _from_matrices(matrices: Num[Array | np.ndarray, "*b 4 4"], name: str) -> jaxlie.SE3:

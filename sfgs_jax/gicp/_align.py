@@ -11,7 +11,7 @@ import jaxlie
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, described
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp._assessment import ASSESSMENT_DECIMATION, RegistrationResult, assess
 from sfgs_jax.gicp._centred_frames import CentredFrames
@@ -63,12 +63,17 @@ def align(
         config: settings, `GicpConfig()` if not given.
 
     Raises:
-        InputError: an organised cloud was prepared with another number of levels than the config's, or an
-            unorganised source has a sweep.
+        InputError: a cloud or the start is none, an organised cloud was prepared with another number of
+            levels than the config's, or an unorganised source has a sweep.
     """
     config = GicpConfig() if config is None else config
     start = se3.as_se3(init_T_target_source, name="init_T_target_source")
     for name, cloud in (("source", source), ("target", target)):
+        if not isinstance(cloud, OrganisedCloud | PointCloud):
+            raise InputError(
+                f"The {name} is a cloud from prepare, prepare_points or prepare_gaussians, "
+                f"not {described(cloud)}."
+            )
         if isinstance(cloud, OrganisedCloud) and len(cloud.levels) != config.levels:
             raise InputError(
                 f"The {name} has {len(cloud.levels)} levels, but the config {config.levels}; "

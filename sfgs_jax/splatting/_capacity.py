@@ -10,7 +10,7 @@ from sfgs_jax.arrays import bucket
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.splatting._binning import count_pairs, count_rows
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
-from sfgs_jax.splatting._gaussians import Gaussians
+from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._projection import Projected, project
 
 _SMALLEST = 1024
@@ -37,7 +37,11 @@ def pair_capacity(
     Returns:
         The need rounded up to 1024, 1536, 2048, 3072, ...: a caller that grows meets few sizes and compiles
         few programs.
+
+    Raises:
+        InputError: an argument is of another type, or the pose is none.
     """
+    require_scene(gaussians, camera)
     pose = se3.as_se3(T_world_cam, name="T_world_cam")
     if gaussians.means.shape[0] == 0:
         return _room(0)

@@ -7,6 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sfgs_jax.arrays import InputError, Text, described, printed_count, printed_fields
+from sfgs_jax.geometry import Camera, require_camera
+
 GAUSSIAN_PARAMETERS: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
         "means": (3,),
@@ -42,6 +45,20 @@ class Gaussians(eqx.Module):
     opacity_logits: Float[Array, " n"]
     sh: Float[Array, "n k 3"]
     valid: Bool[Array, " n"]
+
+    def __repr__(self) -> str:
+        return printed_fields("Gaussians", valid=Text(printed_count(self.valid)), sh=self.sh)
+
+
+def require_scene(gaussians: Gaussians, camera: Camera) -> None:
+    """Refuse a map or a camera that is something else.
+
+    Raises:
+        InputError: one of them is of another type.
+    """
+    if not isinstance(gaussians, Gaussians):
+        raise InputError(f"The gaussians are a Gaussians, as from load_ply, not {described(gaussians)}.")
+    require_camera(camera)
 
 
 def valid_arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:

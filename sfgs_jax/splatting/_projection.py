@@ -31,7 +31,7 @@ from sfgs_jax.arrays import dot, map_used_rows
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter, carried, row_places
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
-from sfgs_jax.splatting._gaussians import Gaussians
+from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._spherical_harmonics import sh_colours
 
 LOW_PASS = 0.3
@@ -93,6 +93,7 @@ def project(
     Raises:
         InputError: the harmonics are not of degree 0 to 3, or the pose is none.
     """
+    require_scene(gaussians, camera)
     pose = se3.as_se3(T_world_cam, name="T_world_cam")
     return _project(gaussians, camera, pose, shutter, config)
 

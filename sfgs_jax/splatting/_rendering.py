@@ -12,7 +12,7 @@ from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
-from sfgs_jax.splatting._gaussians import Gaussians
+from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._projection import project
 from sfgs_jax.splatting._rasterization import rasterize, require_rows, with_a_free_slot
 
@@ -76,6 +76,7 @@ def render(
         InputError: `sh`, `colours` or `features` have a shape that does not fit, or the pose is none.
         TypeError: the rendering is differentiated in forward mode.
     """
+    require_scene(gaussians, camera)
     pose = se3.as_se3(T_world_cam, name="T_world_cam")
     count = gaussians.means.shape[0]
     if features is not None:

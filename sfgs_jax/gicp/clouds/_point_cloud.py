@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from sfgs_jax.arrays import (
     InputError,
     Symmetric,
+    described,
     from_upper_triangles,
+    is_floating,
     masked_median,
     padded,
     smallest_eigenpair,
@@ -65,7 +67,7 @@ class PointCloud(eqx.Module):
 
 
 def prepare_points(
-    points: Float[Array | np.ndarray, "N 3"],
+    points: Shaped[Array | np.ndarray, "..."],
     *,
     valid: Bool[Array | np.ndarray, " N"] | None = None,
     k: int = 20,
@@ -78,16 +80,20 @@ def prepare_points(
     from the origin if they come as float64 NumPy arrays: they are centred before they become float32.
 
     Args:
-        points: metres; rows that are not finite are left out.
+        points: (N, 3) metres, float32 or float64; rows that are not finite are left out.
         valid: rows to use, all if not given.
         k: neighbours of a covariance, the point itself among them; static.
         config: capacities and sizes, `PointsConfig()` if not given.
 
     Raises:
-        InputError: k is out of range.
+        InputError: the points are no such array, or k is out of range.
     """
     config = PointsConfig() if config is None else config
     check_neighbours(k, config)
+    if not is_floating(points) or points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(
+            f"The points are an array (N, 3) of metres, float32 or float64, not {described(points)}."
+        )
     used, origin, centred = centre(points, valid)
     return _prepare_points(padded(centred), padded(used), origin, k, config)
 
