@@ -28,6 +28,37 @@ from sfgs_jax.geometry._rotations import (
     rotations_from_quaternions,
 )
 
+__all__ = [
+    "Pose",
+    "adjoint",
+    "adjoints_of",
+    "as_se3",
+    "compose",
+    "composed_covariances",
+    "exp",
+    "extent",
+    "from_matrix",
+    "identity",
+    "inverse",
+    "log",
+    "logs_of",
+    "matrices_of",
+    "matrix",
+    "parameters_of",
+    "quaternion_product",
+    "quaternions",
+    "rotate",
+    "rotation_matrix",
+    "text_of",
+    "to_matrices",
+    "transform",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _EXACT = jax.lax.Precision.HIGHEST
