@@ -16,7 +16,7 @@ class Text(str):
 
 
 def is_known(value: object) -> bool:
-    """Whether a value lies before us: an array that is not traced, or no array at all."""
+    """True for an array that is not traced, and for all that is no array."""
     return not isinstance(value, Tracer)
 
 
@@ -53,7 +53,7 @@ def printed_fields(name: str, **fields: Any) -> str:
 
 
 def printed_count(used: Any) -> str:
-    """How many slots of a mask are in use, `12 of 16`; the type and shape of a traced or batched mask."""
+    """Count of the slots of a mask in use, `12 of 16`; the type and shape of a traced or batched mask."""
     if not is_known(used) or not isinstance(used, jax.Array | np.ndarray) or used.ndim != 1:
         return eqx.tree_pformat(used)
     return f"{int(np.sum(np.asarray(used)))} of {used.shape[0]}"

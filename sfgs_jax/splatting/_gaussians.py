@@ -25,9 +25,11 @@ GAUSSIAN_PARAMETERS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 class Gaussians(eqx.Module):
     """N slots for 3-D Gaussians; those that are `valid` are in use.
 
-    The other slots may hold anything, NaN included: they change no rendering and no gradient. `jax.grad`
-    refuses a whole `Gaussians`, because `valid` has no gradient. `equinox.filter_grad` takes it: the gradient
-    is a `Gaussians` whose `valid` is None.
+    The other slots may hold anything, NaN included: they change no rendering and no gradient.
+
+    `jax.grad` by a whole `Gaussians` needs `allow_int=True`: the mask `valid` gets the empty gradient float0.
+    With `equinox.filter_grad` the gradient is a `Gaussians` whose `valid` is None, as
+    `equinox.apply_updates` takes it.
 
     Attributes:
         means: (N, 3) centres, world coordinates, metres.
