@@ -54,14 +54,13 @@ def main() -> dict[str, float]:
     covariance = factor_graph.marginal_covariances(graph, solution.values, poses=far).poses[0]
     sigma_cm = 100 * float(jnp.sqrt(jnp.max(jnp.linalg.eigvalsh(covariance[:3, :3]))))
     off_cm = float(errors_cm(solution.values)[LAP // 2])
-    status = factor_graph.Status(int(solution.status))
-    print(f"{status.name} after {int(solution.iterations)} iterations")
+    print(f"{solution.status} after {int(solution.iterations)} iterations")
     print(f"error {before:.1f} cm by odometry, {after:.1f} cm with the loops")
     print(f"half a lap away: {off_cm:.1f} cm off, where its covariance says {sigma_cm:.1f} cm (one sigma)")
     return {
         "odometry_cm": before,
         "solved_cm": after,
-        "converged": float(status is factor_graph.Status.CONVERGED),
+        "converged": float(solution.status == factor_graph.Status.CONVERGED),
         "off_cm": off_cm,
         "sigma_cm": sigma_cm,
     }

@@ -4,11 +4,11 @@
 plotting and a web server.
 """
 
-import os
+import os as _os
 
 # jaxlib 0.9.1 to 0.10.1 log an error of 3 KB for each program loaded from the compilation cache, although the
 # program is right (jax#38445). The level is read when jaxlib is first imported.
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+_os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 from sfgs_jax import datasets as datasets
 from sfgs_jax import factor_graph as factor_graph

@@ -5,6 +5,8 @@ outside the others.
 """
 
 import ast
+import importlib
+import inspect
 import re
 import textwrap
 from collections.abc import Iterator
@@ -15,6 +17,18 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = "sfgs_jax"
+ROOMS = (
+    "arrays",
+    "datasets",
+    "factor_graph",
+    "geometry",
+    "gicp",
+    "sensors",
+    "slam",
+    "splatting",
+    "superfeats",
+)
+SE3 = "sfgs_jax.geometry.se3"
 
 
 def files() -> list[str]:
@@ -137,6 +151,17 @@ def test_only_public_names_are_used(path):
 )
 def test_the_check_tells_public_from_private(line, allowed):
     assert (violations("tests/example.py", line) == []) == allowed
+
+
+@pytest.mark.parametrize("module", ["sfgs_jax", *(f"sfgs_jax.{room}" for room in ROOMS), SE3])
+def test_completion_shows_what_the_library_offers(module):
+    names = [name for name in dir(importlib.import_module(module)) if not name.startswith("_")]
+    # The import hook of the tests adds a name of its own.
+    for name in filter("jaxtyping".__ne__, names):
+        assert is_public(f"{module}.{name}")
+        value = getattr(importlib.import_module(module), name)
+        if inspect.ismodule(value):
+            assert inside(value.__name__)
 
 
 def test_a_room_may_look_into_itself_only():

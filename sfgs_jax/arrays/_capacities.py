@@ -1,7 +1,10 @@
 """Capacities: lists of any length in arrays of few sizes, so that a list that grows compiles few programs."""
 
+from typing import overload
+
 import jax.numpy as jnp
-from jaxtyping import Array, Shaped
+import numpy as np
+from jaxtyping import Array
 
 
 def rounded_up(count: int, multiple: int) -> int:
@@ -33,7 +36,17 @@ def doubled(capacity: int, need: int) -> int:
     return capacity
 
 
-def padded(rows: Shaped[Array, "n ..."]) -> Shaped[Array, "m ..."]:
-    """Rows with zeros up to the next of four sizes an octave: clouds of about one size share a program."""
+@overload
+def padded(rows: Array) -> Array: ...
+@overload
+def padded(rows: np.ndarray) -> np.ndarray: ...
+@overload
+def padded(rows: Array | np.ndarray) -> Array | np.ndarray: ...
+def padded(rows: Array | np.ndarray) -> Array | np.ndarray:
+    """Rows with zeros up to the next of four sizes an octave: clouds of about one size share a program.
+
+    NumPy's rows are padded on the host, without a program for each size.
+    """
     room = bucket(rows.shape[0], steps=4, smallest=8, multiple=8)
-    return jnp.pad(rows, [(0, room - rows.shape[0]), *[(0, 0)] * (rows.ndim - 1)])
+    pad = np.pad if isinstance(rows, np.ndarray) else jnp.pad
+    return pad(rows, [(0, room - rows.shape[0]), *[(0, 0)] * (rows.ndim - 1)])

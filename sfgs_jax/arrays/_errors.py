@@ -6,4 +6,4 @@ class InputError(Exception):
 
 
 class FrameError(InputError):
-    """One frame of a recording can't be decoded; the rest may still be good."""
+    """One frame of a recording can't be used; the rest may still be good."""

@@ -6,6 +6,7 @@ import jaxlie
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import se3
 
 
@@ -20,15 +21,20 @@ class Values(eqx.Module):
     poses: jaxlie.SE3
     landmarks: Float[Array, "L 3"]
 
-    def __init__(self, poses: jaxlie.SE3, landmarks: Float[Array, "L 3"] | None = None):
+    def __init__(self, poses: se3.Pose, landmarks: Float[Array, "L 3"] | None = None):
         """Values of P poses and L landmarks.
 
         Args:
-            poses: (P,) motions `T_world_pose`.
+            poses: (P,) motions `T_world_pose`, `jaxlie.SE3` or homogeneous matrices (P, 4, 4).
             landmarks: (L, 3) points, metres; none if not given.
+
+        Raises:
+            InputError: the poses are no array of motions.
         """
-        self.poses = poses
-        self.landmarks = jnp.zeros((0, 3), poses.wxyz_xyz.dtype) if landmarks is None else landmarks
+        self.poses = se3.as_se3(poses, name="The poses of Values", axes=None)
+        if self.poses.wxyz_xyz.ndim < 2:
+            raise InputError("Values take an array of poses, (P, 4, 4) as matrices, not a single pose.")
+        self.landmarks = jnp.zeros((0, 3), self.poses.wxyz_xyz.dtype) if landmarks is None else landmarks
 
 
 def retract(values: Values, pose_steps: Float[Array, "P 6"], landmark_steps: Float[Array, "L 3"]) -> Values:

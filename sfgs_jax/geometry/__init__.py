@@ -2,12 +2,16 @@
 
 from sfgs_jax.geometry import se3 as se3
 from sfgs_jax.geometry._camera import Camera as Camera
+from sfgs_jax.geometry._camera import require_camera as require_camera
 from sfgs_jax.geometry._depth_registration import register_depth as register_depth
 from sfgs_jax.geometry._downscale import downscale_depth as downscale_depth
 from sfgs_jax.geometry._downscale import downscale_rgb as downscale_rgb
 from sfgs_jax.geometry._frame import Frame as Frame
 from sfgs_jax.geometry._frame import clean_depth as clean_depth
 from sfgs_jax.geometry._held_out import is_held_out as is_held_out
+from sfgs_jax.geometry._image_checks import require_colour as require_colour
+from sfgs_jax.geometry._image_checks import require_depth as require_depth
+from sfgs_jax.geometry._image_checks import warn_unless_metres as warn_unless_metres
 from sfgs_jax.geometry._reprojection import NEAREST_DEPTH as NEAREST_DEPTH
 from sfgs_jax.geometry._reprojection import ReprojectionResiduals as ReprojectionResiduals
 from sfgs_jax.geometry._reprojection import reprojection_residuals as reprojection_residuals

@@ -1,20 +1,34 @@
 """Pinhole camera without lens distortion."""
 
-from typing import Any
+from numbers import Integral
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import core
 from jaxtyping import Array, ArrayLike, Float
+
+from sfgs_jax.arrays import InputError, described, is_array, is_known, printed
 
 
 def _as_float(value: ArrayLike) -> Array:
     """A floating array of strong type; one of weak type would compile a second program."""
-    array = jnp.asarray(value)
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError):
+        array = None
+    if array is None or array.shape != ():
+        raise InputError(f"An intrinsic of a Camera is a number in pixels, not {described(value)}.")
     dtype = array.dtype if jnp.issubdtype(array.dtype, jnp.floating) else jnp.float32
     return jnp.asarray(array, dtype)
+
+
+def _as_size(value: int) -> int:
+    """A whole number of pixels; NumPy's integers become Python's."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < 1:
+        raise InputError(
+            f"The width and height of a Camera are whole numbers of pixels of at least 1, not {value!r}."
+        )
+    return int(value)
 
 
 class Camera(eqx.Module):
@@ -30,17 +44,31 @@ class Camera(eqx.Module):
         cy: principal point, row, scalar.
         width: image width in pixels; static, so a new size compiles anew.
         height: image height in pixels; static.
+
+    Raises:
+        InputError: a size is no whole number, a focal length is not positive and finite, or the principal
+            point is not finite. Traced intrinsics are not looked at.
     """
 
     fx: Float[Array, ""] = eqx.field(converter=_as_float)
     fy: Float[Array, ""] = eqx.field(converter=_as_float)
     cx: Float[Array, ""] = eqx.field(converter=_as_float)
     cy: Float[Array, ""] = eqx.field(converter=_as_float)
-    width: int = eqx.field(static=True, kw_only=True)
-    height: int = eqx.field(static=True, kw_only=True)
+    width: int = eqx.field(static=True, kw_only=True, converter=_as_size)
+    height: int = eqx.field(static=True, kw_only=True, converter=_as_size)
+
+    def __check_init__(self) -> None:
+        for name in ("fx", "fy"):
+            value = getattr(self, name)
+            if is_known(value) and not 0 < np.asarray(value) < np.inf:
+                raise InputError(f"{name} of a Camera is a finite number of pixels above 0, not {value}.")
+        for name in ("cx", "cy"):
+            value = getattr(self, name)
+            if is_known(value) and not np.isfinite(np.asarray(value)):
+                raise InputError(f"{name} of a Camera is a finite number of pixels, not {value}.")
 
     def __repr__(self) -> str:
-        numbers = (f"{name}={_printed(getattr(self, name))}" for name in ("fx", "fy", "cx", "cy"))
+        numbers = (f"{name}={_shortest(getattr(self, name))}" for name in ("fx", "fy", "cx", "cy"))
         return f"Camera({', '.join(numbers)}, width={self.width}, height={self.height})"
 
     @property
@@ -99,8 +127,19 @@ class Camera(eqx.Module):
         )
 
 
-def _printed(value: Any) -> str:
-    """Shortest digits of a scalar; shape and type of anything else, as of a traced or batched intrinsic."""
-    if isinstance(value, jax.Array) and not isinstance(value, core.Tracer) and value.shape == ():
-        return str(np.asarray(value)[()])
-    return eqx.tree_pformat(value)
+def require_camera(camera: Camera) -> None:
+    """Refuse anything but a camera.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if not isinstance(camera, Camera):
+        raise InputError(
+            f"The camera is a Camera, not {described(camera)}: Camera(fx, fy, cx, cy, width=..., height=...)."
+        )
+
+
+def _shortest(value: object) -> str:
+    """All digits of a number that it takes to tell it from others; shape and type of anything else."""
+    whole = is_array(value) and is_known(value) and value.ndim == 0
+    return str(np.asarray(value)[()]) if whole else printed(value)

@@ -4,7 +4,6 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 from jaxtyping import Array, Float
 
 from sfgs_jax.arrays import from_ordered_bits, ordered_bits
@@ -22,7 +21,7 @@ def register_depth(
     depth: Float[Array, "h w"],
     depth_camera: Camera,
     camera: Camera,
-    T_camera_depth: jaxlie.SE3,
+    T_camera_depth: se3.Pose,
     *,
     max_footprint: int = 2,
 ) -> Float[Array, "H W"]:
@@ -36,7 +35,7 @@ def register_depth(
         depth: (h, w) metres along the depth camera's z; not finite or not positive means missing.
         depth_camera: the camera of `depth`.
         camera: the camera to register to, of any size.
-        T_camera_depth: depth camera coordinates to camera coordinates.
+        T_camera_depth: depth camera coordinates to camera coordinates, `jaxlie.SE3` or a 4 x 4 matrix.
         max_footprint: most pixels along an axis that one depth pixel is drawn over; 2 is enough while the
             ratio of the focal lengths is below about 1.7. Static.
 

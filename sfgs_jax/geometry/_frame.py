@@ -1,11 +1,16 @@
 """One RGB-D image pair, the unit that recordings yield and the system consumes."""
 
+import math
+from numbers import Real
+from typing import cast
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, described, is_array, is_known
+from sfgs_jax.geometry._image_checks import require_colour, require_depth
 
 
 class Frame(eqx.Module):
@@ -48,23 +53,19 @@ class Frame(eqx.Module):
             valid: (H, W) pixels that hold an image; None if all do.
 
         Raises:
-            InputError: an image is of integers or of another shape, or `valid` is no mask of their shape.
+            InputError: an image is no array, is of integers or of another shape, `valid` is no mask of their
+                shape, or a time stamp is no finite number.
         """
-        if not _is_float(rgb) or rgb.ndim != 3 or rgb.shape[2] != 3:
-            raise InputError(
-                f"A frame's colour is float32 RGB in [0, 1] of shape (H, W, 3), not {rgb.dtype} of shape "
-                f"{rgb.shape}; divide an 8-bit image by 255."
-            )
-        if not _is_float(depth) or depth.shape != rgb.shape[:2]:
-            raise InputError(
-                f"A frame's depth is float32 metres of its colour's shape {rgb.shape[:2]}, not {depth.dtype} "
-                f"of shape {depth.shape}; divide a 16-bit image by its units per metre, 1000 for millimetres."
-            )
-        if valid is not None and (valid.dtype != bool or valid.shape != depth.shape):
+        require_colour(rgb, "A frame's colour")
+        require_depth(depth, (rgb.shape[0], rgb.shape[1]), "A frame's depth", "its colour's")
+        if valid is not None and not (is_array(valid) and valid.dtype == bool and valid.shape == depth.shape):
             raise InputError(
                 f"A frame's mask of valid pixels is bool of its depth's shape {depth.shape}, not "
-                f"{valid.dtype} of shape {valid.shape}."
+                f"{described(valid)}."
             )
+        _require_seconds(timestamp, "time stamp")
+        if depth_timestamp is not None:
+            _require_seconds(depth_timestamp, "time stamp of depth")
         self.rgb, self.depth, self.valid = rgb, depth, valid
         self.timestamp, self.depth_timestamp = timestamp, depth_timestamp
 
@@ -80,5 +81,11 @@ def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Arr
     return jnp.where(valid, depth, 0), valid
 
 
-def _is_float(image: Array | np.ndarray) -> bool:
-    return jnp.issubdtype(image.dtype, jnp.floating) and image.dtype.itemsize >= 4
+def _require_seconds(value: object, name: str) -> None:
+    """Refuse a time stamp that is no finite number; a traced one may be anything."""
+    number = isinstance(value, Real) or (is_array(value) and np.shape(value) == ())
+    if number and not is_known(value):
+        return
+    if not number or isinstance(value, bool) or not math.isfinite(cast(float, value)):
+        shown = value if number else described(value)
+        raise InputError(f"A frame's {name} is a finite number of seconds, not {shown}.")

@@ -1,7 +1,8 @@
 """Rigid motions on jaxlie, and their counterparts on the host.
 
-Poses are `jaxlie.SE3` everywhere; tangents are jaxlie's (translation first, then rotation) and perturb on
-the right: `T @ exp(delta)`. Functions of `jaxlie.SE3` run on the device, with products in full float32. TF32,
+Poses are `jaxlie.SE3`; public functions take homogeneous 4 x 4 matrices too (`as_se3`), and `matrix` gives
+them back. Tangents are jaxlie's (translation first, then rotation) and perturb on the right:
+`T @ exp(delta)`. Functions of `jaxlie.SE3` run on the device, with products in full float32. TF32,
 the default on recent GPUs, would move a point five metres away by millimetres. Functions of NumPy arrays run
 on the host in float64.
 
@@ -11,23 +12,62 @@ rank, which strict promotion refuses, so promotion is allowed locally.
 
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Array, Float, Num, Shaped
 
+from sfgs_jax.arrays import InputError, described, is_array, is_known, printed
 from sfgs_jax.geometry._rotations import (
     quaternions_from_rotations,
     rotation_vectors,
     rotations_from_quaternions,
 )
 
+__all__ = [
+    "Pose",
+    "adjoint",
+    "adjoints_of",
+    "as_se3",
+    "compose",
+    "composed_covariances",
+    "exp",
+    "extent",
+    "from_matrix",
+    "identity",
+    "inverse",
+    "log",
+    "logs_of",
+    "matrices_of",
+    "matrix",
+    "parameters_of",
+    "quaternion_product",
+    "quaternions",
+    "rotate",
+    "rotation_matrix",
+    "text_of",
+    "to_matrices",
+    "transform",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _EXACT = jax.lax.Precision.HIGHEST
+
+Pose = jaxlie.SE3 | Num[Array | np.ndarray, "*b 4 4"]
+"""A rigid motion, or the homogeneous 4 x 4 matrix of one."""
+
+_RIGID = 1e-3
+"""Largest error of a rotation matrix's orthonormality; matrices in text files have few digits."""
 
 
 def _promoting(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -49,6 +89,69 @@ def identity(dtype: jnp.dtype | type = jnp.float32) -> jaxlie.SE3:
     return jaxlie.SE3(jnp.asarray([1, 0, 0, 0, 0, 0, 0], dtype))
 
 
+def as_se3(
+    pose: jaxlie.SE3 | Shaped[Array | np.ndarray, "..."], *, name: str = "A pose", axes: int | None = 0
+) -> jaxlie.SE3:
+    """The motion of a `jaxlie.SE3`, which is passed on, or of a homogeneous 4 x 4 matrix.
+
+    Differentiable and free of checks of the values under `jit`; an array of the host keeps float64 until the
+    quaternion is made.
+
+    Args:
+        pose: `jaxlie.SE3`, or a JAX or NumPy array (*axes, 4, 4).
+        name: of the argument, at the beginning of a sentence.
+        axes: number of leading axes; None allows any.
+
+    Raises:
+        InputError: it is neither, has another shape, or is no rigid motion.
+    """
+    if isinstance(pose, jaxlie.SE3):
+        leading, kind = pose.wxyz_xyz.shape[:-1], "motions"
+    elif isinstance(pose, jax.Array | np.ndarray):
+        if pose.shape[-2:] != (4, 4):
+            raise InputError(f"{name} is a jaxlie.SE3 or a 4 x 4 matrix, not an array of shape {pose.shape}.")
+        leading, kind = pose.shape[:-2], "matrices"
+    else:
+        raise InputError(f"{name} is a jaxlie.SE3 or a 4 x 4 matrix, not {described(pose)}.")
+    if axes is not None and len(leading) != axes:
+        wanted = "one motion; use vmap for several" if axes == 0 else f"an array of motions with {axes} axis"
+        raise InputError(f"{name} is {wanted}, not {kind} of shape {leading}.")
+    return pose if isinstance(pose, jaxlie.SE3) else _from_matrices(pose, name)
+
+
+def text_of(T: Any) -> str:
+    """A motion as text, its translation in metres and its angle; of a traced or batched one the shape.
+
+    Args:
+        T: `jaxlie.SE3`; anything else is printed as it is.
+    """
+    parameters = getattr(T, "wxyz_xyz", T)
+    if not is_array(parameters) or not is_known(parameters) or parameters.shape != (7,):
+        return printed(parameters)
+    wxyz, (x, y, z) = np.split(np.asarray(parameters, np.float64), [4])
+    degrees = np.degrees(2 * np.arctan2(np.linalg.norm(wxyz[1:]), abs(wxyz[0])))
+    return f"({x:.4g}, {y:.4g}, {z:.4g}) m {degrees:.3g}°"
+
+
+def _from_matrices(matrices: Num[Array | np.ndarray, "*b 4 4"], name: str) -> jaxlie.SE3:
+    floating = jnp.issubdtype(matrices.dtype, jnp.floating)
+    dtype = jax.dtypes.canonicalize_dtype(matrices.dtype if floating else float)
+    if isinstance(matrices, Tracer):
+        wxyz = quaternions(matrices[..., :3, :3].astype(dtype).reshape(-1, 3, 3))
+        wxyz = wxyz.reshape(*matrices.shape[:-2], 4)
+        return jaxlie.SE3(jnp.concatenate([wxyz, matrices[..., :3, 3].astype(dtype)], axis=-1))
+    host = np.asarray(matrices, np.float64).reshape(-1, 4, 4)
+    R = host[:, :3, :3]
+    error = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
+    right = error < _RIGID and np.isfinite(host).all() and (np.linalg.det(R) > 0).all()
+    if not right or np.any(host[:, 3] != [0, 0, 0, 1]):
+        raise InputError(
+            f"{name} is no rigid motion: a 4 x 4 matrix needs an orthonormal rotation, a finite translation "
+            "in its last column, and the last row 0 0 0 1."
+        )
+    return jaxlie.SE3(jnp.asarray(parameters_of(host).reshape(*matrices.shape[:-2], 7), dtype))
+
+
 @_promoting
 def exp(tangent: Float[Array, "*b 6"]) -> jaxlie.SE3:
     """Motion of a tangent vector (translation first)."""
@@ -56,50 +159,51 @@ def exp(tangent: Float[Array, "*b 6"]) -> jaxlie.SE3:
 
 
 @_promoting
-def log(T: jaxlie.SE3) -> Float[Array, "*b 6"]:
+def log(T: Pose) -> Float[Array, "*b 6"]:
     """Tangent vector (translation first) of a motion."""
-    return T.log()
+    return as_se3(T, axes=None).log()
 
 
 @_promoting
-def compose(T_a_b: jaxlie.SE3, T_b_c: jaxlie.SE3) -> jaxlie.SE3:
+def compose(T_a_b: Pose, T_b_c: Pose) -> jaxlie.SE3:
     """`T_a_c` of two motions, with the quaternion brought back to unit length."""
-    product = T_a_b @ T_b_c
+    product = as_se3(T_a_b, axes=None) @ as_se3(T_b_c, axes=None)
     wxyz = product.wxyz_xyz[..., :4]
     unit = wxyz / jnp.linalg.norm(wxyz, axis=-1, keepdims=True)
     return jaxlie.SE3(jnp.concatenate([unit, product.wxyz_xyz[..., 4:]], axis=-1))
 
 
 @_promoting
-def inverse(T_a_b: jaxlie.SE3) -> jaxlie.SE3:
+def inverse(T_a_b: Pose) -> jaxlie.SE3:
     """`T_b_a`."""
-    return T_a_b.inverse()
+    return as_se3(T_a_b, axes=None).inverse()
 
 
 @_promoting
-def matrix(T: jaxlie.SE3) -> Float[Array, "*b 4 4"]:
+def matrix(T: Pose) -> Float[Array, "*b 4 4"]:
     """Homogeneous 4 x 4 matrix."""
-    return T.as_matrix()
+    return as_se3(T, axes=None).as_matrix()
 
 
 @_promoting
-def adjoint(T: jaxlie.SE3) -> Float[Array, "*b 6 6"]:
+def adjoint(T: Pose) -> Float[Array, "*b 6 6"]:
     """Ad(T): `T @ exp(x) = exp(Ad(T) x) @ T`."""
-    return T.adjoint()
+    return as_se3(T, axes=None).adjoint()
 
 
-def rotation_matrix(T: jaxlie.SE3) -> Float[Array, "*b 3 3"]:
+def rotation_matrix(T: Pose) -> Float[Array, "*b 3 3"]:
     """Rotation part, 3 x 3."""
     return matrix(T)[..., :3, :3]
 
 
-def transform(T_a_b: jaxlie.SE3, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def transform(T_a_b: Pose, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """Points given in frame b, in frame a. One motion, any number of points."""
+    T_a_b = as_se3(T_a_b)
     turned = jnp.einsum("ij,...j->...i", rotation_matrix(T_a_b), points, precision=_EXACT)
     return turned + T_a_b.wxyz_xyz[4:].reshape((1,) * (points.ndim - 1) + (3,))
 
 
-def extent(T: jaxlie.SE3) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+def extent(T: Pose) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
     """Lengths of a motion's translation and rotation by its tangent, metres and radians."""
     tangent = log(T)
     return jnp.linalg.norm(tangent[..., :3], axis=-1), jnp.linalg.norm(tangent[..., 3:], axis=-1)

@@ -11,7 +11,8 @@ import jaxlie
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, described
+from sfgs_jax.geometry import se3
 from sfgs_jax.gicp._assessment import ASSESSMENT_DECIMATION, RegistrationResult, assess
 from sfgs_jax.gicp._centred_frames import CentredFrames
 from sfgs_jax.gicp._config import GicpConfig
@@ -32,7 +33,7 @@ _Outputs = tuple[jaxlie.SE3, Int[Array, ""], Bool[Array, ""]]
 def align(
     source: Cloud,
     target: Cloud,
-    init_T_target_source: jaxlie.SE3,
+    init_T_target_source: se3.Pose,
     *,
     prior: MotionPrior | None = None,
     coarsest: int | Int[Array, ""] | None = None,
@@ -53,7 +54,7 @@ def align(
     Args:
         source: cloud of the frame to locate, from `prepare` or `prepare_points`.
         target: cloud of the frame to locate it in, from the same or from `prepare_gaussians`.
-        init_T_target_source: start.
+        init_T_target_source: start, `jaxlie.SE3` or a homogeneous 4 x 4 matrix.
         prior: prior of the motion, weighed against the residuals by their noise.
         coarsest: level to begin with, counted from 0, the finest; all levels if not given. A start that is
             good to a few centimetres needs no coarse ones. A new value does not compile anew.
@@ -62,11 +63,17 @@ def align(
         config: settings, `GicpConfig()` if not given.
 
     Raises:
-        InputError: an organised cloud was prepared with another number of levels than the config's, or an
-            unorganised source has a sweep.
+        InputError: a cloud or the start is none, an organised cloud was prepared with another number of
+            levels than the config's, or an unorganised source has a sweep.
     """
     config = GicpConfig() if config is None else config
+    start = se3.as_se3(init_T_target_source, name="init_T_target_source")
     for name, cloud in (("source", source), ("target", target)):
+        if not isinstance(cloud, OrganisedCloud | PointCloud):
+            raise InputError(
+                f"The {name} is a cloud from prepare, prepare_points or prepare_gaussians, "
+                f"not {described(cloud)}."
+            )
         if isinstance(cloud, OrganisedCloud) and len(cloud.levels) != config.levels:
             raise InputError(
                 f"The {name} has {len(cloud.levels)} levels, but the config {config.levels}; "
@@ -76,7 +83,7 @@ def align(
         raise InputError("Only a depth image has rows that a sweep could move: leave out `sweep` for points.")
     levels = max(len(source.levels), len(target.levels))
     begin = jnp.asarray(levels - 1 if coarsest is None else coarsest, jnp.int32)
-    return _align(source, target, init_T_target_source, prior, jnp.maximum(begin, 0), sweep, config)
+    return _align(source, target, start, prior, jnp.maximum(begin, 0), sweep, config)
 
 
 @partial(jax.jit, static_argnames="config")

@@ -6,6 +6,8 @@ import jaxlie
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import Text, printed_count, printed_fields
+from sfgs_jax.geometry import se3
 from sfgs_jax.gicp._correspondences import Correspondences
 from sfgs_jax.gicp._exact_products import exact_products
 from sfgs_jax.gicp._level_problem import LevelProblem, Minimum
@@ -52,6 +54,18 @@ class RegistrationResult(eqx.Module):
     observability: Float[Array, "6"]
     directions: Float[Array, "6 6"]
     free: Bool[Array, "6"]
+
+    def __repr__(self) -> str:
+        return printed_fields(
+            "RegistrationResult",
+            rmse=(self.rmse, "m"),
+            T_target_source=Text(se3.text_of(self.T_target_source)),
+            inlier_fraction=self.inlier_fraction,
+            overlap=self.overlap,
+            iterations=self.iterations,
+            converged=self.converged,
+            free=Text(f"{printed_count(self.free)} directions"),
+        )
 
     @property
     @exact_products

@@ -41,15 +41,19 @@ _PAIR_INDEX = np.zeros((4, 4), np.int32)
 _PAIR_INDEX[_PAIRS] = _PAIR_INDEX[_PAIRS[::-1]] = range(10)
 
 
+def _as_mean(T_target_source: se3.Pose) -> jaxlie.SE3:
+    return se3.as_se3(T_target_source, name="The mean of a MotionPrior", axes=None)
+
+
 class MotionPrior(eqx.Module):
     """Gaussian prior of a motion: T = mean exp(x) with x of zero mean.
 
     Attributes:
-        T_target_source: mean.
+        T_target_source: mean; a homogeneous 4 x 4 matrix becomes a `jaxlie.SE3`.
         information: (6, 6) inverse covariance of x (translation first), metres and radians.
     """
 
-    T_target_source: jaxlie.SE3
+    T_target_source: jaxlie.SE3 = eqx.field(converter=_as_mean)
     information: Float[Array, "6 6"]
 
 

@@ -1,6 +1,6 @@
 """The state before the first frame."""
 
-from sfgs_jax.geometry import Camera
+from sfgs_jax.geometry import Camera, require_camera
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import init_tracker, offsets_in_use, tracker_params
@@ -20,6 +20,7 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
     Raises:
         InputError: times or a correction of depth are given that the settings leave without effect.
     """
+    require_camera(camera)
     config = config or SlamConfig()
     params = tracker_params(camera, config.tracking, sensors)
     return SlamState(

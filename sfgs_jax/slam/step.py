@@ -12,8 +12,8 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
-from sfgs_jax.geometry import Frame, se3
+from sfgs_jax.arrays import FrameError, InputError, described
+from sfgs_jax.geometry import Frame, se3, warn_unless_metres
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth
 from sfgs_jax.slam.keyframes import advance_graph, motion_covariance, with_new_keyframes
@@ -52,6 +52,8 @@ def step(
     The work is done by compiled functions; the first frames of an image size wait for their compilation, or
     `warm_up` does it before. It runs on the host; inside `jit`, `scan` or `vmap` use `track`.
 
+    Warns if the first frame's depth is not in metres by its median.
+
     Args:
         state: the run so far, from `init` or an earlier step.
         frame: the next frame, of the camera's size.
@@ -60,7 +62,10 @@ def step(
 
     Raises:
         InputError: the frame has another size than the camera.
+        FrameError: its time stamp is before that of the last frame.
     """
+    if isinstance(frame, Frame) and not len(state.log.timestamps):
+        warn_unless_metres(frame.depth)
     state, info, view = follow(state, frame, number=number, stages=stages)
     if not info.tracked:
         return state, info
@@ -75,10 +80,17 @@ def follow(
 
     Arguments and errors as of `step`.
     """
+    if not isinstance(frame, Frame):
+        raise InputError(f"A step takes a Frame(rgb, depth, timestamp), not {described(frame)}.")
     if frame.depth.shape != state.camera.shape or frame.rgb.shape != (*state.camera.shape, 3):
         raise InputError(
             f"The frame has colour {frame.rgb.shape} and depth {frame.depth.shape}, the camera is for images "
             f"of {state.camera.shape}: pass frames of one size, and init() a state for each size."
+        )
+    if float(frame.timestamp) < state.last_timestamp:
+        raise FrameError(
+            f"The frame's time stamp {float(frame.timestamp):.6f} s is before that of the last frame, "
+            f"{state.last_timestamp:.6f} s: pass frames in the order of their time stamps."
         )
     number = state.next_frame if number is None else number
     with stages("tracking"):

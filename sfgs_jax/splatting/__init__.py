@@ -16,6 +16,7 @@ from sfgs_jax.splatting._projection import Projected as Projected
 from sfgs_jax.splatting._projection import project as project
 from sfgs_jax.splatting._rasterization import Raster as Raster
 from sfgs_jax.splatting._rasterization import rasterize as rasterize
+from sfgs_jax.splatting._renderer import Renderer as Renderer
 from sfgs_jax.splatting._rendering import RenderOutput as RenderOutput
 from sfgs_jax.splatting._rendering import render as render
 from sfgs_jax.splatting._sorting import sort_by_tile_and_depth as sort_by_tile_and_depth

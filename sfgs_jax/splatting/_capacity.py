@@ -7,10 +7,10 @@ import jaxlie
 from jaxtyping import Array, Int
 
 from sfgs_jax.arrays import bucket
-from sfgs_jax.geometry import Camera
+from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.splatting._binning import count_pairs, count_rows
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
-from sfgs_jax.splatting._gaussians import Gaussians
+from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._projection import Projected, project
 
 _SMALLEST = 1024
@@ -20,7 +20,7 @@ _SMALLEST = 1024
 def pair_capacity(
     gaussians: Gaussians,
     camera: Camera,
-    T_world_cam: jaxlie.SE3,
+    T_world_cam: se3.Pose,
     *,
     config: RenderConfig = DEFAULT,
     headroom: float = 1.0,
@@ -30,17 +30,22 @@ def pair_capacity(
     Args:
         gaussians: the map.
         camera: intrinsics and image size.
-        T_world_cam: pose of the camera.
+        T_world_cam: pose of the camera, `jaxlie.SE3` or a homogeneous 4 x 4 matrix.
         config: settings; its own `pair_capacity` has no influence.
         headroom: factor on the need, for later views and steps.
 
     Returns:
         The need rounded up to 1024, 1536, 2048, 3072, ...: a caller that grows meets few sizes and compiles
         few programs.
+
+    Raises:
+        InputError: an argument is of another type, or the pose is none.
     """
+    require_scene(gaussians, camera)
+    pose = se3.as_se3(T_world_cam, name="T_world_cam")
     if gaussians.means.shape[0] == 0:
         return _room(0)
-    projected, rows = _project_and_count(gaussians, camera, T_world_cam, config)
+    projected, rows = _project_and_count(gaussians, camera, pose, config)
     pairs = _count(projected, camera.width, camera.height, config.tile_size, _room(int(rows)))
     return _room(int(headroom * max(int(rows), int(pairs))))
 

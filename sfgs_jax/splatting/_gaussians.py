@@ -7,6 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sfgs_jax.arrays import InputError, Text, described, printed_count, printed_fields
+from sfgs_jax.geometry import Camera, require_camera
+
 GAUSSIAN_PARAMETERS: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
         "means": (3,),
@@ -22,9 +25,11 @@ GAUSSIAN_PARAMETERS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 class Gaussians(eqx.Module):
     """N slots for 3-D Gaussians; those that are `valid` are in use.
 
-    The other slots may hold anything, NaN included: they change no rendering and no gradient. `jax.grad`
-    refuses a whole `Gaussians`, because `valid` has no gradient. `equinox.filter_grad` takes it: the gradient
-    is a `Gaussians` whose `valid` is None.
+    The other slots may hold anything, NaN included: they change no rendering and no gradient.
+
+    `jax.grad` by a whole `Gaussians` needs `allow_int=True`: the mask `valid` gets the empty gradient float0.
+    With `equinox.filter_grad` the gradient is a `Gaussians` whose `valid` is None, as
+    `equinox.apply_updates` takes it.
 
     Attributes:
         means: (N, 3) centres, world coordinates, metres.
@@ -42,6 +47,20 @@ class Gaussians(eqx.Module):
     opacity_logits: Float[Array, " n"]
     sh: Float[Array, "n k 3"]
     valid: Bool[Array, " n"]
+
+    def __repr__(self) -> str:
+        return printed_fields("Gaussians", valid=Text(printed_count(self.valid)), sh=self.sh)
+
+
+def require_scene(gaussians: Gaussians, camera: Camera) -> None:
+    """Refuse a map or a camera that is something else.
+
+    Raises:
+        InputError: one of them is of another type.
+    """
+    if not isinstance(gaussians, Gaussians):
+        raise InputError(f"The gaussians are a Gaussians, as from load_ply, not {described(gaussians)}.")
+    require_camera(camera)
 
 
 def valid_arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:

@@ -31,7 +31,7 @@ from sfgs_jax.arrays import dot, map_used_rows
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter, carried, row_places
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
-from sfgs_jax.splatting._gaussians import Gaussians
+from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._spherical_harmonics import sh_colours
 
 LOW_PASS = 0.3
@@ -68,7 +68,7 @@ class Projected(eqx.Module):
 def project(
     gaussians: Gaussians,
     camera: Camera,
-    T_world_cam: jaxlie.SE3,
+    T_world_cam: se3.Pose,
     shutter: RollingShutter | None = None,
     *,
     config: RenderConfig = DEFAULT,
@@ -82,7 +82,7 @@ def project(
     Args:
         gaussians: the map.
         camera: intrinsics and image size.
-        T_world_cam: pose of the camera.
+        T_world_cam: pose of the camera, `jaxlie.SE3` or a homogeneous 4 x 4 matrix.
         shutter: its motion while the rows are exposed, then the pose is that of the middle row; None for an
             image taken at once.
         config: settings, static; only `near`, `far` and `antialiased` have an influence.
@@ -91,9 +91,11 @@ def project(
         The images, and the RGB (N, 3) of the spherical harmonics.
 
     Raises:
-        InputError: the harmonics are not of degree 0 to 3.
+        InputError: the harmonics are not of degree 0 to 3, or the pose is none.
     """
-    return _project(gaussians, camera, T_world_cam, shutter, config)
+    require_scene(gaussians, camera)
+    pose = se3.as_se3(T_world_cam, name="T_world_cam")
+    return _project(gaussians, camera, pose, shutter, config)
 
 
 # Compiled here: hundreds of small programs would take longer. Inside a caller's jit it is inlined.

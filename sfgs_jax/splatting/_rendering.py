@@ -9,10 +9,10 @@ import jaxlie
 from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import InputError
-from sfgs_jax.geometry import Camera
+from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
-from sfgs_jax.splatting._gaussians import Gaussians
+from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._projection import project
 from sfgs_jax.splatting._rasterization import rasterize, require_rows, with_a_free_slot
 
@@ -45,7 +45,7 @@ class RenderOutput(eqx.Module):
 def render(
     gaussians: Gaussians,
     camera: Camera,
-    T_world_cam: jaxlie.SE3,
+    T_world_cam: se3.Pose,
     background: Float[Array, "3"] | None = None,
     colours: Float[Array, "n 3"] | None = None,
     features: Float[Array, "n c"] | None = None,
@@ -64,7 +64,7 @@ def render(
     Args:
         gaussians: the map.
         camera: intrinsics and image size; pixel centres lie at integer coordinates.
-        T_world_cam: pose of the camera.
+        T_world_cam: pose of the camera, `jaxlie.SE3` or a homogeneous 4 x 4 matrix.
         background: (3,) RGB behind everything; black where None.
         colours: (N, 3) RGB of the Gaussians, in place of their spherical harmonics.
         features: (N, C) further values to composite, any number of channels.
@@ -73,9 +73,11 @@ def render(
         config: settings, static.
 
     Raises:
-        InputError: `sh`, `colours` or `features` have a shape that does not fit.
+        InputError: `sh`, `colours` or `features` have a shape that does not fit, or the pose is none.
         TypeError: the rendering is differentiated in forward mode.
     """
+    require_scene(gaussians, camera)
+    pose = se3.as_se3(T_world_cam, name="T_world_cam")
     count = gaussians.means.shape[0]
     if features is not None:
         require_rows("features", features, count)
@@ -84,7 +86,7 @@ def render(
     if count == 0:
         gaussians, colours, features = with_a_free_slot((gaussians, colours, features))
     try:
-        return _render(gaussians, camera, T_world_cam, background, colours, features, shutter, config=config)
+        return _render(gaussians, camera, pose, background, colours, features, shutter, config=config)
     except TypeError as error:
         if "custom_vjp" not in str(error):
             raise

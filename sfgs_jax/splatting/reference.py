@@ -20,7 +20,7 @@ from sfgs_jax.splatting._rendering import RenderOutput
 def render(
     gaussians: Gaussians,
     camera: Camera,
-    T_world_cam: jaxlie.SE3,
+    T_world_cam: se3.Pose,
     background: Float[Array, "3"] | None = None,
     colours: Float[Array, "n 3"] | None = None,
     features: Float[Array, "n c"] | None = None,
@@ -32,8 +32,9 @@ def render(
     Arguments and result are those of `splatting.render`. The tile size and the pair capacity of `config` have
     no influence, and `overflow` is 0.
     """
+    pose = se3.as_se3(T_world_cam, name="T_world_cam")
     with jax.default_matmul_precision("highest"):
-        return _render(gaussians, camera, T_world_cam, background, colours, features, config)
+        return _render(gaussians, camera, pose, background, colours, features, config)
 
 
 def _render(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Num
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, described, is_array
 from sfgs_jax.superfeats._descriptors import sample, unit
 from sfgs_jax.superfeats._features import Features
 from sfgs_jax.superfeats.detection import MIN_HEAT, detect
@@ -41,14 +41,19 @@ def extract(
         Features with K slots: pixels (u, v), scores in [0, 1] (heat times reliability), 64-D descriptors.
 
     Raises:
-        InputError: `max_keypoints` isn't positive, the image has no pixels, or the network is not folded.
+        InputError: `max_keypoints` isn't positive, the image is none or has no pixels, or the network is not
+            folded.
 
     Source: Wang and Deng, SFGS-SLAM (2025), section 3.1.
     """
     if max_keypoints < 1:
         raise InputError(f"max_keypoints must be at least 1, not {max_keypoints}.")
+    if not is_array(image) or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
+        raise InputError(f"The image is grey (H, W) or RGB (H, W, 3), not {described(image)}.")
     if image.size == 0:
         raise InputError(f"The image is empty: its shape is {image.shape}.")
+    if image.dtype == bool or not jnp.issubdtype(image.dtype, jnp.number):
+        raise InputError(f"The image holds real numbers, not {image.dtype}.")
     if isinstance(image, np.ndarray) and image.ndim == 3:
         image = mean_grey(image)
     if not jnp.issubdtype(image.dtype, jnp.floating):

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import Text, printed_count, printed_fields
+
 
 class Features(eqx.Module):
     """K keypoint slots of one image, the best first; slots that are not `valid` hold zeros.
@@ -21,6 +23,9 @@ class Features(eqx.Module):
     descriptors: Float[Array, "k d"]
     valid: Bool[Array, " k"]
 
+    def __repr__(self) -> str:
+        return printed_fields("Features", valid=Text(printed_count(self.valid)), descriptors=self.descriptors)
+
 
 class Matches(eqx.Module):
     """Counterparts in image b of the K keypoint slots of image a.
@@ -34,6 +39,9 @@ class Matches(eqx.Module):
     index_b: Int[Array, " k"]
     similarity: Float[Array, " k"]
     valid: Bool[Array, " k"]
+
+    def __repr__(self) -> str:
+        return printed_fields("Matches", valid=Text(printed_count(self.valid)))
 
 
 def pack_features(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Scalar
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, described
 from sfgs_jax.superfeats._descriptors import cosines
 from sfgs_jax.superfeats._features import Features, Matches
 
@@ -31,6 +31,9 @@ def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMI
     Raises:
         InputError: descriptors differ in length, or `min_similarity` lies outside [0, 1].
     """
+    for features in (a, b):
+        if not isinstance(features, Features):
+            raise InputError(f"a and b are Features, not {described(features)}.")
     lengths = a.descriptors.shape[1], b.descriptors.shape[1]
     if lengths[0] != lengths[1]:
         raise InputError(

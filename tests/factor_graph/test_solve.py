@@ -216,7 +216,7 @@ def test_many_small_graphs_at_once():
     together = jax.vmap(solve)(graphs, starts)
     for i, (graph, start, _) in enumerate(made):
         alone = solve(graph, start)
-        assert together.status[i] == alone.status
+        assert together.status_code[i] == alone.status
         np.testing.assert_allclose(together.cost[i], alone.cost, rtol=1e-3)
 
 
@@ -300,6 +300,19 @@ def test_indices_out_of_range_are_refused(rng):
         FactorGraph(graph.factors, num_poses=10)
     with pytest.raises(InputError, match="20 poses"):
         solve(FactorGraph(graph.factors, num_poses=21), start)
+
+
+def test_poses_may_be_matrices(rng):
+    graph, start, _ = ring(rng)
+    prior, chain = blocks_of_ring(graph)
+    places, motions, known = map(se3.to_matrices, (start.poses, chain.T_a_b, prior.T_world_pose))
+    again = (
+        Values(places).poses,
+        RelativePose(chain.poses, motions, chain.matrices).T_a_b,
+        PosePrior(prior.poses[:, 0], known, prior.matrices).T_world_pose,
+    )
+    for found, given in zip(again, (places, motions, known), strict=True):
+        np.testing.assert_allclose(se3.to_matrices(found), given, atol=1e-6)
 
 
 def test_marginals_are_blocks_of_the_inverse(float64, rng):

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import (
     quaternions_from_rotations,
     rotation_vectors,
@@ -145,3 +146,62 @@ def test_slerp_turns_evenly_on_the_shortest_arc(rng):
     np.testing.assert_allclose(slerp(start, end, np.zeros((20, 1))), start, atol=1e-12)
     np.testing.assert_allclose(slerp(start, end, np.ones((20, 1))), end, atol=1e-12)
     np.testing.assert_allclose(slerp(start, start, fraction), start, atol=1e-12)
+
+
+@pytest.mark.parametrize("on", [np.float64, np.float32, jnp.float32])
+def test_a_matrix_is_a_pose(key, on):
+    T = random_pose(key)
+    matrix = on(se3.to_matrices(T.__class__(T.wxyz_xyz[None]))[0])
+    pose = se3.as_se3(matrix)
+    np.testing.assert_allclose(se3.matrix(pose), matrix, atol=1e-6)
+    assert pose.wxyz_xyz.dtype == jnp.float32
+    point = jnp.asarray([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(se3.transform(matrix, point), se3.transform(T, point), atol=1e-5)
+    np.testing.assert_allclose(se3.log(se3.compose(matrix, se3.inverse(T))), np.zeros(6), atol=1e-5)
+    assert se3.as_se3(T) is T
+
+
+def test_traced_matrices_are_poses_with_gradients(key):
+    T = se3.matrix(random_pose(key))
+    point = jnp.asarray([1.0, 2.0, 3.0])
+
+    def moved(matrix):
+        return jnp.sum(se3.transform(matrix, point))
+
+    np.testing.assert_allclose(jax.jit(moved)(T), moved(T), rtol=1e-5)
+    np.testing.assert_allclose(jax.grad(moved)(T)[:3, 3], np.ones(3), rtol=1e-5)
+    assert jnp.all(jnp.isfinite(jax.grad(moved)(jnp.eye(4))))
+    both = jnp.stack([T, jnp.eye(4)])
+    assert jax.vmap(lambda m: se3.as_se3(m).wxyz_xyz)(both).shape == (2, 7)
+    assert jax.jit(lambda m: se3.as_se3(m, axes=1).wxyz_xyz)(both).shape == (2, 7)
+
+
+SHEARED = np.eye(4)
+SHEARED[0, 1] = 0.1
+TRANSPOSED = np.eye(4)
+TRANSPOSED[3, 0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (np.eye(3), r"Start is a jaxlie.SE3 or a 4 x 4 matrix, not an array of shape \(3, 3\)"),
+        (np.zeros(7), r"not an array of shape \(7,\)"),
+        (np.tile(np.eye(4), (5, 1, 1)), r"one motion; use vmap for several, not matrices of shape \(5,\)"),
+        (SHEARED, "no rigid motion: .* orthonormal"),
+        (TRANSPOSED, "last row 0 0 0 1"),
+        (np.diag([1.0, 1, -1, 1]), "no rigid motion"),
+        (2 * np.eye(4), "no rigid motion"),
+        (np.full((4, 4), np.nan), "no rigid motion"),
+    ],
+)
+def test_other_things_are_no_poses(pose, words):
+    with pytest.raises(InputError, match=words):
+        se3.as_se3(pose, name="Start")
+
+
+def test_motions_in_number_are_no_single_pose():
+    with pytest.raises(InputError, match=r"use vmap for several, not motions of shape \(2,\)"):
+        se3.as_se3(se3.exp(jnp.zeros((2, 6))))
+    with pytest.raises(InputError, match="an array of motions with 1 axis"):
+        se3.as_se3(np.eye(4), axes=1)

@@ -99,6 +99,8 @@ def test_identical_clouds_stay_where_they_are(corner):
     assert result.converged
     assert result.inlier_fraction > 0.999
     assert finite(result)
+    by_matrix = align(target, target, np.eye(4), config=CONFIG)
+    np.testing.assert_array_equal(by_matrix.T_target_source.wxyz_xyz, result.T_target_source.wxyz_xyz)
 
 
 def test_start_and_depth_and_intrinsics_compile_once(corner, compilations):

@@ -24,7 +24,7 @@ from tests.gicp.scenes import cast, motion_error
 
 POINTS = PointsConfig(levels=2, max_points=2048)
 COUNT = 7500
-"""Points of most clouds here: each size is a program of its own."""
+"""Points of most clouds here, between two sizes of programs, 7168 and 8192."""
 MOTION = np.asarray(se3.matrix(se3.exp(jnp.asarray([0.06, -0.04, 0.05, 0.03, -0.04, 0.02]))), np.float64)
 
 
@@ -81,6 +81,14 @@ def test_other_kernels_and_residuals_work_too(clouds, kernel):
     target, source = clouds
     config = GicpConfig(kernel=kernel, residual="point_to_plane", kernel_width=4.0)
     assert error(align(source, target, se3.identity(), config=config))[0] < 2e-3
+
+
+def test_clouds_of_about_one_size_share_a_program(scans, clouds, compilations):
+    del clouds  # it has compiled the program
+    compilations.clear()
+    for count in (COUNT - 1, 7169):
+        prepare_points(scans[0][:count], valid=np.arange(count) < 7000, config=POINTS)
+    assert not compilations
 
 
 def test_normals_are_those_of_the_walls(clouds):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax import Frame, slam
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.evaluation import nees
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.keyframes import accept_consistent_loops, travelled
@@ -95,7 +95,7 @@ def test_nothing_compiles_after_the_warm_up(room, frames, config, compilations, 
         assert not info.tracked
     # Nor a frame that comes back after one that was lost.
     lost, _ = slam.step(state, Frame(np.zeros_like(patches), nothing, 1.0))
-    _, info = slam.step(lost, frames[0])
+    _, info = slam.step(lost, replace(frames[0], timestamp=2.0))
     assert not compilations
 
 
@@ -191,6 +191,16 @@ def test_a_frame_of_another_size_is_refused(room, frames, config):
     state = slam.init(room.camera, config)
     with pytest.raises(InputError, match="one size"):
         slam.step(state, Frame(frames[0].rgb[:50], frames[0].depth[:50], 0.0))
+
+
+def test_time_does_not_go_back(room, frames, config):
+    state, _ = follow(room, frames[:3], config)
+    with pytest.raises(FrameError, match=r"time stamp 0\.0\d+ s is before .* in the order of"):
+        slam.step(state, frames[1])
+    # A run goes on without the frame.
+    run = slam.run(enumerate([*frames[:3], frames[1], *frames[3:5]]), room.camera, config)
+    assert (run.num_frames, run.num_skipped) == (6, 1)
+    assert np.all(np.diff(run.trajectory.timestamps) > 0)
 
 
 def test_the_map_grows_when_it_is_full(room, frames, config):

@@ -14,6 +14,7 @@ from sfgs_jax.splatting import (
     GAUSSIAN_PARAMETERS,
     Gaussians,
     RenderConfig,
+    Renderer,
     pair_capacity,
     project,
     rasterize,
@@ -148,6 +149,19 @@ def test_gaussians_outside_the_near_and_far_planes_are_not_drawn():
         np.testing.assert_allclose(alpha, 0.5 if drawn else 0.0, atol=1e-4)
 
 
+def test_a_pose_may_be_a_matrix_and_traced():
+    scene, matrix = wall(1, 0.5), jnp.eye(4).at[0, 3].set(0.1)
+    out = render(scene, make_camera(), matrix, config=CONFIG)
+    moved = render(scene, make_camera(), se3.exp(jnp.asarray([0.1, 0, 0, 0, 0, 0])), config=CONFIG)
+    np.testing.assert_allclose(out.depth, moved.depth, atol=1e-5)
+    shapes = jax.eval_shape(lambda m: render(scene, make_camera(), m, config=CONFIG), matrix)
+    assert shapes.depth.shape == out.depth.shape
+    # The mask has no gradient, so jax.grad takes the whole map only where integers are allowed.
+    by_map = jax.grad(lambda g: render(g, make_camera(), matrix, config=CONFIG).rgb.mean(), allow_int=True)
+    slope = jax.eval_shape(by_map, scene)
+    assert (slope.means.shape, slope.valid.dtype) == ((N, 3), jax.dtypes.float0)
+
+
 def test_what_light_passes_shows_the_background():
     out = render(wall(1, 0.25), make_camera(), se3.identity(), jnp.asarray([1.0, 0.5, 0.0]), config=CONFIG)
     black = render(wall(1, 0.25), make_camera(), se3.identity(), config=CONFIG)
@@ -184,6 +198,19 @@ def test_too_little_room_is_reported_and_the_stated_capacity_suffices():
     small = render(scene, camera, T, config=replace(CONFIG, pair_capacity=512))
     assert int(small.overflow) > 0
     assert np.all(np.isfinite(small.rgb))
+    # A renderer finds that room itself, and keeps it.
+    renderer = Renderer(CONFIG, headroom=1.0)
+    out = renderer(scene, camera, se3.matrix(T))
+    assert renderer.config == replace(CONFIG, pair_capacity=capacity)
+    np.testing.assert_allclose(out.rgb, full.rgb, atol=1e-5)
+    renderer.config = replace(CONFIG, pair_capacity=512)
+    assert int(renderer(scene, camera, T).overflow) == 0
+    assert renderer.config.pair_capacity == capacity
+    assert renderer.make_room(wall(1, 0.5), camera, T).pair_capacity == capacity
+    with pytest.raises(InputError, match="inside jit or grad use render"):
+        jax.eval_shape(lambda scene: renderer(scene, camera, T).rgb, scene)
+    with pytest.raises(InputError, match=r"at least 1, not 0\.5"):
+        Renderer(headroom=0.5)
 
 
 @pytest.mark.parametrize(

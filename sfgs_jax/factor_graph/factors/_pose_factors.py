@@ -30,7 +30,7 @@ class _MeasuredMotion(Factor):
     def _set_motions(
         self,
         poses: Int[np.ndarray, "N k"],
-        measured: jaxlie.SE3,
+        measured: se3.Pose,
         information: Float[Array, "*n 6 6"],
         valid: Mask | None,
         kernel: Kernel,
@@ -38,9 +38,10 @@ class _MeasuredMotion(Factor):
     ) -> None:
         self._set_rows(poses, None, valid, kernel, width)
         kind, count = type(self).__name__, len(poses)
-        self._check_rows("the motions wxyz_xyz", measured.wxyz_xyz, (7,))
+        motions = se3.as_se3(measured, name=f"The measured motion of {kind}", axes=None)
+        self._check_rows("the motions wxyz_xyz", motions.wxyz_xyz, (7,))
         check_shape(kind, "information", information, (6, 6), (count, 6, 6))
-        self.measured = measured
+        self.measured = motions
         self.matrices = jnp.broadcast_to(jnp.asarray(information), (count, 6, 6))
 
     def measurements(self) -> PyTree:
@@ -63,7 +64,7 @@ class PosePrior(_MeasuredMotion):
     def __init__(
         self,
         poses: Indices,
-        T_world_pose: jaxlie.SE3,
+        T_world_pose: se3.Pose,
         information: Float[Array, "*n 6 6"],
         *,
         valid: Mask | None = None,
@@ -74,7 +75,7 @@ class PosePrior(_MeasuredMotion):
 
         Args:
             poses: (N,) indices of the poses.
-            T_world_pose: (N,) their expected motions.
+            T_world_pose: (N,) their expected motions, `jaxlie.SE3` or matrices (N, 4, 4).
             information: (N, 6, 6) or (6, 6), positive semidefinite, translation first.
             valid: (N,) rows that count, all if not given.
             kernel: robust kernel.
@@ -123,7 +124,7 @@ class RelativePose(_MeasuredMotion):
     def __init__(
         self,
         poses: IndexPairs,
-        T_a_b: jaxlie.SE3,
+        T_a_b: se3.Pose,
         information: Float[Array, "*n 6 6"],
         *,
         valid: Mask | None = None,
@@ -134,7 +135,8 @@ class RelativePose(_MeasuredMotion):
 
         Args:
             poses: (N, 2) pairs (a, b).
-            T_a_b: (N,) measured motions from coordinates of b to coordinates of a.
+            T_a_b: (N,) measured motions from coordinates of b to coordinates of a, `jaxlie.SE3` or matrices
+                (N, 4, 4).
             information: (N, 6, 6) or (6, 6), positive semidefinite, translation first, of right noise.
             valid: (N,) rows that count, all if not given.
             kernel: robust kernel.

@@ -101,7 +101,7 @@ def _solve(graph: FactorGraph, values: Values, config: SolverConfig) -> Solution
         values=state.values,
         cost=half_sum(state.losses, values),
         iterations=state.iteration,
-        status=jnp.where(singular, Status.SINGULAR.value, status),
+        status_code=jnp.where(singular, Status.SINGULAR.value, status),
         statistics=state.statistics,
     )
 

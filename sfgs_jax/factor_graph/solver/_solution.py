@@ -1,10 +1,12 @@
 """Result of a solve: values, cost, status, and statistics per iteration."""
 
 from enum import IntEnum
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import is_array, is_known, printed_fields
 from sfgs_jax.factor_graph._values import Values
 
 
@@ -23,6 +25,9 @@ class Status(IntEnum):
     SINGULAR = 3
     """The factors don't determine every free variable. No factor touches one, or an undamped system had no
     unique solution. An undetermined variable stays at its start."""
+
+    def __str__(self) -> str:
+        return self.name
 
 
 class Statistics(eqx.Module):
@@ -50,12 +55,31 @@ class Solution(eqx.Module):
         values: poses and landmarks; fixed ones as given.
         cost: half the sum of robust squared whitened residuals there.
         iterations: linear systems solved.
-        status: a `Status`, as an integer array.
+        status_code: number of the `Status`.
         statistics: progress per iteration.
     """
 
     values: Values
     cost: Float[Array, ""]
     iterations: Int[Array, ""]
-    status: Int[Array, ""]
+    status_code: Int[Array, ""]
     statistics: Statistics
+
+    @property
+    def status(self) -> Status | Int[Array, "*b"]:
+        """The `Status`, which prints its name; its number where it is traced or batched."""
+        return _named(self.status_code)
+
+    def __repr__(self) -> str:
+        return printed_fields(
+            "Solution",
+            status=_named(self.status_code),
+            cost=self.cost,
+            iterations=self.iterations,
+            values=self.values,
+        )
+
+
+def _named(code: Any) -> Any:
+    """The `Status` of a number; a traced or batched one, or anything else, as it is."""
+    return Status(int(code)) if is_array(code) and is_known(code) and code.ndim == 0 else code

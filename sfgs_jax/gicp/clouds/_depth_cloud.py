@@ -6,10 +6,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Shaped
 
 from sfgs_jax.arrays import InputError
-from sfgs_jax.geometry import Camera, clean_depth, downscale_depth, surface
+from sfgs_jax.geometry import (
+    Camera,
+    clean_depth,
+    downscale_depth,
+    require_camera,
+    require_depth,
+    surface,
+    warn_unless_metres,
+)
 from sfgs_jax.gicp._config import GicpConfig
 
 
@@ -48,23 +56,25 @@ class OrganisedCloud(eqx.Module):
 
 
 def prepare(
-    depth: Float[Array | np.ndarray, "H W"], camera: Camera, *, config: GicpConfig | None = None
+    depth: Shaped[Array | np.ndarray, "..."], camera: Camera, *, config: GicpConfig | None = None
 ) -> OrganisedCloud:
     """Organised cloud of a depth image, ready to be source or target of `align`.
 
+    Warns if the median of a NumPy image is no distance in metres.
+
     Args:
-        depth: metres along z; anything not finite or not positive is missing.
+        depth: (H, W) float32 metres along z; anything not finite or not positive is missing.
         camera: intrinsics of the depth image.
         config: settings, `GicpConfig()` if not given.
 
     Raises:
-        InputError: `depth` does not have the camera's size, or is too small for the levels.
+        InputError: `depth` is no floating-point image of the camera's size, or is too small for the levels.
     """
     config = GicpConfig() if config is None else config
-    if depth.shape != camera.shape:
-        raise InputError(
-            f"The depth image is {depth.shape}, but its camera is {camera.shape} (rows, columns)."
-        )
+    require_camera(camera)
+    require_depth(depth, camera.shape, "The depth image", "its camera's")
+    if isinstance(depth, np.ndarray):
+        warn_unless_metres(depth)
     halvings = config.skipped_halvings + config.levels - 1
     if min(depth.shape) < 2 ** (halvings + 2):
         raise InputError(

@@ -55,19 +55,14 @@ def prepare_gaussians(
         raise InputError(
             f"There are {means.shape[0]} means but {covariances.shape[0]} covariances; give one for each."
         )
-    matrices = jnp.asarray(covariances)
-    finite = jnp.all(jnp.isfinite(matrices), axis=(1, 2))
     used, origin, centred = centre(means, valid)
-    used = used & finite
-    triangles = jnp.where(used[:, None], upper_triangles(matrices).T, 0)
-    rows = (padded(x) for x in (centred, triangles, used))
-    return _prepare_gaussians(*rows, origin, target_covariance, k, config)
+    return _prepare_gaussians(centred, padded(covariances), used, origin, target_covariance, k, config)
 
 
 @partial(jax.jit, static_argnames=("target_covariance", "k", "config"))
 def _prepare_gaussians(
     means: Float[Array, "N 3"],
-    triangles: Float[Array, "N 6"],
+    matrices: Float[Array | np.ndarray, "N 3 3"],
     valid: Bool[Array, " N"],
     origin: Float[Array, "3"],
     target_covariance: TargetCovariance,
@@ -75,6 +70,9 @@ def _prepare_gaussians(
     config: PointsConfig,
 ) -> PointCloud:
     levels, overflow = [], jnp.asarray(0, jnp.int32)
+    matrices = jnp.asarray(matrices)
+    valid = valid & jnp.all(jnp.isfinite(matrices), axis=(1, 2))
+    triangles = jnp.where(valid[:, None], upper_triangles(matrices).T, 0)
     for cells in voxel_levels(means, triangles, valid, config):
         match target_covariance:
             case "neighbours":

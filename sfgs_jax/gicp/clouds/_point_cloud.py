@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from sfgs_jax.arrays import (
     InputError,
     Symmetric,
+    described,
     from_upper_triangles,
+    is_floating,
     masked_median,
     padded,
     smallest_eigenpair,
@@ -65,7 +67,7 @@ class PointCloud(eqx.Module):
 
 
 def prepare_points(
-    points: Float[Array | np.ndarray, "N 3"],
+    points: Shaped[Array | np.ndarray, "..."],
     *,
     valid: Bool[Array | np.ndarray, " N"] | None = None,
     k: int = 20,
@@ -78,18 +80,22 @@ def prepare_points(
     from the origin if they come as float64 NumPy arrays: they are centred before they become float32.
 
     Args:
-        points: metres; rows that are not finite are left out.
+        points: (N, 3) metres, float32 or float64; rows that are not finite are left out.
         valid: rows to use, all if not given.
         k: neighbours of a covariance, the point itself among them; static.
         config: capacities and sizes, `PointsConfig()` if not given.
 
     Raises:
-        InputError: k is out of range.
+        InputError: the points are no such array, or k is out of range.
     """
     config = PointsConfig() if config is None else config
     check_neighbours(k, config)
+    if not is_floating(points) or points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(
+            f"The points are an array (N, 3) of metres, float32 or float64, not {described(points)}."
+        )
     used, origin, centred = centre(points, valid)
-    return _prepare_points(padded(centred), padded(used), origin, k, config)
+    return _prepare_points(centred, used, origin, k, config)
 
 
 def check_neighbours(k: int, config: PointsConfig) -> None:
@@ -102,22 +108,28 @@ def check_neighbours(k: int, config: PointsConfig) -> None:
 
 def centre(
     points: Float[Array | np.ndarray, "N 3"], valid: Bool[Array | np.ndarray, " N"] | None
-) -> tuple[Bool[Array, " N"], Float[Array, "3"], Float[Array, "N 3"]]:
-    """Mask of the points to use, their median as the origin, and the points relative to it.
+) -> tuple[Bool[Array, " M"], Float[Array, "3"], Float[Array, "M 3"]]:
+    """Mask of the points to use, their median as the origin, and the points relative to it, in padded rows.
 
     A float64 array of the host is centred on the host: float32 would round it to millimetres at ten
-    kilometres.
+    kilometres. It is padded there too, so that another number of points compiles nothing.
     """
-    given = jnp.ones(points.shape[0], bool) if valid is None else jnp.asarray(valid)
-    if isinstance(points, np.ndarray):
-        used = np.isfinite(points).all(axis=1) & np.asarray(given)
-        middle = np.median(points[used], axis=0) if used.any() else np.zeros(3)
-        origin = jnp.asarray(middle, jnp.asarray(points[:0]).dtype)
-        centred = np.where(used[:, None], points - np.asarray(origin, points.dtype), 0)
-        return jnp.asarray(used), origin, jnp.asarray(centred, origin.dtype)
+    given = padded(np.ones(points.shape[0], bool) if valid is None else valid)
+    points = padded(points)
+    if not isinstance(points, np.ndarray):
+        return _centre_on_device(points, jnp.asarray(given))
+    used = np.isfinite(points).all(axis=1) & np.asarray(given)
+    middle = np.median(points[used], axis=0) if used.any() else np.zeros(3)
+    origin = jnp.asarray(middle, jnp.asarray(points[:0]).dtype)
+    centred = np.where(used[:, None], points - np.asarray(origin, points.dtype), 0)
+    return jnp.asarray(used), origin, jnp.asarray(centred, origin.dtype)
+
+
+@jax.jit
+def _centre_on_device(
+    points: Float[Array, "M 3"], given: Bool[Array, " M"]
+) -> tuple[Bool[Array, " M"], Float[Array, "3"], Float[Array, "M 3"]]:
     used = given & jnp.all(jnp.isfinite(points), axis=1)
-    if points.shape[0] == 0:
-        return used, jnp.zeros(3, points.dtype), points
     origin = jnp.stack([masked_median(c, used) for c in points.T])
     return used, origin, jnp.where(used[:, None], points - origin[None], 0)
 

@@ -12,7 +12,7 @@ import optimistix
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from sfgs_jax.arrays import InputError, padded
+from sfgs_jax.arrays import InputError, Text, padded, printed_count, printed_fields
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp._centred_frames import CentredFrames
 from sfgs_jax.gicp._exact_products import exact_products
@@ -45,6 +45,16 @@ class RigidResult(eqx.Module):
     rmse: Float[Array, ""]
     unique: Bool[Array, ""]
     converged: Bool[Array, ""]
+
+    def __repr__(self) -> str:
+        return printed_fields(
+            "RigidResult",
+            rmse=(self.rmse, "m"),
+            T_target_source=Text(se3.text_of(self.T_target_source)),
+            inliers=Text(printed_count(self.inliers)),
+            unique=self.unique,
+            converged=self.converged,
+        )
 
 
 def rigid_from_matches(

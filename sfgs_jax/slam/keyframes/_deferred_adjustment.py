@@ -41,7 +41,7 @@ def with_adjustment_begun(
         poses=found.solution.values.poses.wxyz_xyz,
         covariances=found.covariances,
         points=found.solution.values.landmarks,
-        status=found.solution.status,
+        status=found.solution.status_code,
         frames_left=config.adjustment_frames,
     )
     return replace(graph, adjustment=begun)

@@ -206,8 +206,8 @@ def run(
     worker = kind(result.state, result.stopwatch, spill_map)
     try:
         for number, frame in worker.frames(frames):
-            info = _advance(result, number, frame, worker, storage)
-            skipped = frame if isinstance(frame, FrameError) else None
+            found = _advance(result, number, frame, worker, storage)
+            info, skipped = (None, found) if isinstance(found, FrameError) else (found, None)
             gaussians = result.state.mapping.num_gaussians
             observer(Progress("frames", result.num_frames, gaussians, skipped, info, result))
             _check_skipped(result)
@@ -236,23 +236,29 @@ def _check_resumed(run: Run, camera: Camera, config: SlamConfig) -> None:
 
 def _advance(
     run: Run, number: int, frame: Frame | FrameError, worker: MapWorker, storage: Path | None
-) -> StepInfo | None:
-    state, info = run.state, None
-    if not isinstance(frame, FrameError):
+) -> StepInfo | FrameError:
+    """The run after a frame, or after one that can't be used, whose error is returned."""
+    state = run.state
+    try:
+        if isinstance(frame, FrameError):
+            raise frame
         with run.stopwatch("frame"):
-            state, info, view = follow(state, frame, number=number, stages=run.stopwatch)
-            if info.tracked:
-                info = info._replace(loss=worker.learn(state, view))
+            state, found, view = follow(state, frame, number=number, stages=run.stopwatch)
+            if found.tracked:
+                found = found._replace(loss=worker.learn(state, view))
+    except FrameError as error:
+        found = error
+    else:
         state = replace(state, mapping=worker.mapping)
         if storage is not None:
             state = spill(state, storage)
     # All at once, so that an interruption finds the frame either done or not begun. Numbers that were left
     # out are frames that came too fast.
     run.state = state
-    run.num_skipped += info is None
+    run.num_skipped += isinstance(found, FrameError)
     run.num_dropped += number - run.num_frames
     run.num_frames = number + 1
-    return info
+    return found
 
 
 def _end_mapping(run: Run, worker: MapWorker) -> None:

@@ -22,6 +22,9 @@ class PoseSource(IntEnum):
     MOTION_MODEL = 4
     """GICP, with the motion model along directions that the surface leaves free."""
 
+    def __str__(self) -> str:
+        return self.name
+
 
 BY_KEYPOINTS = (PoseSource.JOINT, PoseSource.KEYPOINTS)
 """Sources in which matched keypoints take part."""

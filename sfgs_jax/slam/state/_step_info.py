@@ -8,6 +8,8 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.arrays import Text, printed_fields
+from sfgs_jax.geometry import se3
 from sfgs_jax.slam.state._registration import PoseSource
 
 Stages = Callable[[str], AbstractContextManager[None]]
@@ -56,3 +58,16 @@ class StepInfo(NamedTuple):
     num_matches: int
     num_inliers: int
     loss: float
+
+    def __repr__(self) -> str:
+        happened = ("relocalised", "new_keyframe", "new_view", "loop_closed")
+        return printed_fields(
+            "StepInfo",
+            tracked=self.tracked,
+            source=self.source,
+            T_world_cam=Text(se3.text_of(self.T_world_cam)),
+            rmse=(self.rmse, "m"),
+            inlier_fraction=self.inlier_fraction,
+            matches=Text(f"{self.num_inliers} of {self.num_matches}"),
+            **{name: True for name in happened if getattr(self, name)},
+        )
