@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 
 from sfgs_jax.geometry import Camera, Frame, Trajectory
 from sfgs_jax.viewer._finished_run import RecordedFrames
-from sfgs_jax.viewer._modes import Look, far_depth
+from sfgs_jax.viewer._modes import Look, depth_range
 from sfgs_jax.viewer._painting import OPAQUE, Painter, bytes_of, depth_picture
 from sfgs_jax.viewer._path_layer import field_of_view
 
@@ -83,9 +83,9 @@ class FramePanel:
             The recorded picture; None if there is none.
         """
         frame = None if self._frames is None else self._frames.frame(index)
-        rendered, far = self._rendered(index, look)
+        rendered, limits = self._rendered(index, look)
         self.rendered.image = rendered
-        recorded = None if frame is None else self._recorded(frame, far)
+        recorded = None if frame is None else self._recorded(frame, limits)
         if self.recorded is not None:
             self.recorded.image = np.zeros_like(rendered) if recorded is None else recorded
         elapsed = self._trajectory.timestamps[index] - self._trajectory.timestamps[0]
@@ -94,27 +94,31 @@ class FramePanel:
         self.text.content = f"{text}. The recorded image can't be read." if unreadable else text
         return recorded
 
-    def _rendered(self, index: int, look: Look) -> tuple[UInt8[np.ndarray, "h w 3"], float | None]:
-        """The map from the frame's pose, and the depth of the last colour if it shows depth."""
+    def _rendered(
+        self, index: int, look: Look
+    ) -> tuple[UInt8[np.ndarray, "h w 3"], tuple[float, float] | None]:
+        """The map from the frame's pose, and the range of its colours if it shows depth."""
         shutter = None if self._frames is None else self._frames.shutter(index)
         output = self._painter.render(
             self._trajectory.poses[index], self._camera, look, background=_BLACK, shutter=shutter
         )
         if look.mode == "depth":
             depth = np.where(np.asarray(output.alpha) > OPAQUE, np.asarray(output.depth), 0)
-            far = far_depth(depth)
-            return depth_picture(depth, background=_BLACK, far=far), far
+            limits = depth_range(depth)
+            return depth_picture(depth, background=_BLACK, limits=limits), limits
         if look.mode == "splats" and self._frames is not None:
             return bytes_of(jax.device_get(self._frames.shown(index, output.rgb))), None
         return bytes_of(jax.device_get(output.rgb)), None
 
-    def _recorded(self, frame: Frame, far: float | None) -> UInt8[np.ndarray, "h w 3"]:
-        if far is None:
+    def _recorded(self, frame: Frame, limits: tuple[float, float] | None) -> UInt8[np.ndarray, "h w 3"]:
+        if limits is None:
             return bytes_of(self._small(np.asarray(frame.rgb)))
         factor = frame.depth.shape[1] // self._camera.width
         # One pixel of each block: a mean over a border would be of neither surface.
         depth = np.asarray(frame.depth)[factor // 2 :: factor, factor // 2 :: factor]
-        return depth_picture(depth[: self._camera.height, : self._camera.width], background=_BLACK, far=far)
+        return depth_picture(
+            depth[: self._camera.height, : self._camera.width], background=_BLACK, limits=limits
+        )
 
     def _small(self, rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w 3"]:
         """Means over blocks of pixels, the image of the panel's camera."""

@@ -19,19 +19,26 @@ _SEARCHED = np.radians(60)
 _DIRECTIONS = 1500
 """Directions of the sphere that are tried."""
 
-_WIDTH = np.radians(8)
-"""Standard deviation of the score of a direction."""
+_WIDTH = np.radians(10)
+"""Standard deviation of the normals of a plane: those of Gaussians are rough."""
+
+_LEVEL, _UPRIGHT, _OTHER = 0.35, 0.45, 0.2
+"""Shares of level, upright and other surface in the search."""
 
 _GATES = np.radians([20, 20, 15, 15, 10, 10, 10, 10])
 """Largest angle between a normal and a level or an upright surface, by step."""
 
-_LEAST_SHARE = 0.4
-"""Share of the surface that is level or upright, below which a map has no dominant planes."""
+_SHARE_GATE = np.radians(20)
+"""The same for the share of the surface that is level or upright."""
+
+_LEAST_SHARE = 0.55
+"""Below this share a map has no dominant planes; normals in all directions have 0.4."""
 
 _LEAST_GAP = 0.03
 """Least gap of the two smallest eigenvalues, shares of the surface: one wall alone does not tell up."""
 
-_LEVEL_WEIGHT, _PRIOR_WEIGHT = 1.0, 0.2
+_PRIOR = 0.2
+"""Log-likelihood that a direction gains with the cosine of its angle to the cameras' mean up."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ class Level:
     Attributes:
         up: unit vector.
         floor: height of the floor along `up`, metres.
-        share: of the surface that is level or upright within ten degrees, in [0, 1].
+        share: of the surface that is level or upright within twenty degrees, in [0, 1].
     """
 
     up: Float[np.ndarray, "3"]
@@ -57,7 +64,7 @@ def normals_of(splats: Splats) -> Float[np.ndarray, "n 3"]:
 def find_level(splats: Splats, poses: Float[np.ndarray, "m 4 4"]) -> Level | None:
     """Up by the planes of a map, which are level or upright where people live.
 
-    A search over directions near the cameras' mean up finds the direction that is along or across most
+    A search over directions near the cameras' mean up finds the one that is likeliest along or across the
     normals. Gated least squares then sharpen it. Each step has a closed form: the eigenvector of the smallest
     eigenvalue of Σ w n nᵀ over upright surfaces minus Σ w n nᵀ over level ones.
 
@@ -80,8 +87,8 @@ def find_level(splats: Splats, poses: Float[np.ndarray, "m 4 4"]) -> Level | Non
         values, vectors = np.linalg.eigh(scatter)
         up, gap = vectors[:, 0], float(values[1] - values[0])
         up = up if up @ prior > 0 else -up
-    level, upright = _gated(normals, up, _GATES[-1])
-    share = float(weights @ (level | upright))
+    share = float(weights @ np.logical_or(*_gated(normals, up, _SHARE_GATE)))
+    level, _ = _gated(normals, up, _GATES[-1])
     if share < _LEAST_SHARE or gap < _LEAST_GAP:
         return None
     heights = centres[level] @ up if level.any() else centres @ up
@@ -128,18 +135,21 @@ def _mean_up(poses: Float[np.ndarray, "m 4 4"]) -> Float[np.ndarray, "3"]:
 def _search(
     normals: Float[np.ndarray, "k 3"], weights: Float[np.ndarray, " k"], prior: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """The best of directions spread over the sphere by the golden angle."""
+    """The likeliest of directions spread over the sphere by the golden angle.
+
+    A normal is of a level surface, of an upright one, or of any direction: a mixture of three densities over
+    its angle to the plane across `up`. A cap is smaller than a band, so level surface tells more.
+    """
     place = np.arange(_DIRECTIONS)
     z = 1 - (2 * place + 1) / _DIRECTIONS
     angle = place * np.pi * (3 - np.sqrt(5))
     directions = np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
     directions = np.concatenate([prior[None], directions[directions @ prior > np.cos(_SEARCHED)]])
-    cosines = np.minimum(np.abs(directions @ normals.T), 1)
-    from_plane = np.arcsin(cosines)
-    near_level = np.exp(-0.5 * ((np.pi / 2 - from_plane) / _WIDTH) ** 2)
-    near_upright = np.exp(-0.5 * (from_plane / _WIDTH) ** 2)
-    scores = (_LEVEL_WEIGHT * near_level + near_upright) @ weights + _PRIOR_WEIGHT * directions @ prior
-    return directions[np.argmax(scores)]
+    from_plane = np.arcsin(np.minimum(np.abs(directions @ normals.T), 1))
+    near_level = np.exp(-0.5 * ((np.pi / 2 - from_plane) / _WIDTH) ** 2) / _WIDTH**2
+    near_upright = np.exp(-0.5 * (from_plane / _WIDTH) ** 2) / (np.sqrt(np.pi / 2) * _WIDTH)
+    scores = np.log(_LEVEL * near_level + _UPRIGHT * near_upright + _OTHER) @ weights
+    return directions[np.argmax(scores + _PRIOR * directions @ prior)]
 
 
 def _gated(

@@ -5,11 +5,15 @@ import viser
 from jaxtyping import Float, Float32
 
 from sfgs_jax.geometry import Camera, Trajectory
-from sfgs_jax.viewer._modes import Look, count_views, depths_from, far_depth, normal_colours, turbo
+from sfgs_jax.viewer._modes import Look, count_views, depth_range, depths_from, normal_colours, turbo
 from sfgs_jax.viewer._splats import Splats, sampled
 
-_POINT_SIZE = 0.5
+_POINT_SIZE = 0.9
 """Diameter of a point, in standard deviations of a middling Gaussian."""
+
+
+_OUTSIDE = 1.5
+"""Factor on depths from the path, because the browser looks from farther away."""
 
 
 class MapLayer:
@@ -114,7 +118,8 @@ class MapLayer:
         if not len(poses):
             return float(np.linalg.norm(np.ptp(self.sent.centres, axis=0)))
         some = self.sent.centres[:: max(1, len(self.sent) // 5000)]
-        return max(far_depth(depths_from(some, pose)) for pose in poses[:: max(1, len(poses) // 20)])
+        farthest = max(depth_range(depths_from(some, pose))[1] for pose in poses[:: max(1, len(poses) // 20)])
+        return _OUTSIDE * farthest
 
     def _coloured(self, mode: str) -> tuple[Float32[np.ndarray, "n 3"], str]:
         """Colours of the Gaussians that are sent, and what they mean."""

@@ -67,10 +67,13 @@ def depths_from(
     return (centres - T_world_cam[:3, 3].astype(np.float32)) @ T_world_cam[:3, 2].astype(np.float32)
 
 
-def far_depth(depths: Float[np.ndarray, "*n"]) -> float:
-    """Depth of the last colour, metres: 95 % of what lies in front is nearer."""
+def depth_range(depths: Float[np.ndarray, "*n"]) -> tuple[float, float]:
+    """Depths of the first and the last colour, metres: 5 and 95 % of what lies in front is nearer."""
     front = depths[depths > _NEAREST]
-    return float(np.percentile(front, 95)) if front.size else 1.0
+    if not front.size:
+        return 0.0, 1.0
+    near, far = np.percentile(front, [5, 95])
+    return float(near), float(max(far, near + _NEAREST))
 
 
 def count_views(

@@ -11,7 +11,7 @@ from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.sensors import RollingShutter
 from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, pair_capacity, render
 from sfgs_jax.viewer._map_layer import certainty_colours
-from sfgs_jax.viewer._modes import Look, far_depth, normal_colours, turbo
+from sfgs_jax.viewer._modes import Look, depth_range, normal_colours, turbo
 from sfgs_jax.viewer._splats import Splats
 
 _HEADROOM = 1.3
@@ -20,7 +20,7 @@ _HEADROOM = 1.3
 OPAQUE = 0.5
 """Opacity from which on a pixel has a depth."""
 
-_POINT_SIGMA = 0.2
+_POINT_SIGMA = 0.3
 """Standard deviation of a point, in those of a middling Gaussian."""
 
 _SOLID = 8.0
@@ -145,14 +145,18 @@ def bytes_of(rgb: Float[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def depth_picture(
-    depth: Float[np.ndarray, "H W"], *, background: Float[np.ndarray, "3"], far: float | None = None
+    depth: Float[np.ndarray, "H W"],
+    *,
+    background: Float[np.ndarray, "3"],
+    limits: tuple[float, float] | None = None,
 ) -> UInt8[np.ndarray, "H W 3"]:
     """Depth in Turbo colours, red near and blue far.
 
     Args:
         depth: metres, 0 where missing.
         background: RGB in [0, 1] where it is missing.
-        far: depth of the last colour, metres; None takes it from the image.
+        limits: depths of the first and the last colour, metres; None takes them from the image.
     """
-    far = far_depth(depth) if far is None else far
-    return np.where((depth > 0)[..., None], turbo(depth / far), bytes_of(background)).astype(np.uint8)
+    near, far = depth_range(depth) if limits is None else limits
+    colours = turbo((depth - near) / (far - near))
+    return np.where((depth > 0)[..., None], colours, bytes_of(background)).astype(np.uint8)

@@ -16,6 +16,9 @@ _ASPECT = 4 / 3
 _PATH_COLOUR, _KEYFRAME_COLOUR, _REPLAY_COLOUR = (37, 99, 235), (148, 163, 184), (220, 38, 38)
 _ELLIPSOID_COLOUR = (245, 158, 11)
 
+_INSIDE = 0.5
+"""Distance to a pose, in lengths of a frustum, within which a browser looks from there."""
+
 _MOST_ELLIPSOIDS = 400
 """Ellipsoids of a path; those of a longer one are spread evenly."""
 
@@ -78,8 +81,7 @@ class PathLayer:
     ) -> None:
         self._scene, self._keyframes = scene, keyframes
         self._length = float(np.clip(0.02 * np.linalg.norm(np.ptp(trajectory.positions, axis=0)), 0.02, 0.15))
-        self._keyframes_shown = True
-        self._near = np.zeros(len(keyframes), bool)
+        self._wanted, self._inside = (True, True, False), False
         self.line = self._add_line(trajectory)
         fov, aspect = field_of_view(camera)
         self.frusta = self._add_frusta(fov, aspect)
@@ -111,13 +113,9 @@ class PathLayer:
         self.replay.image = picture
 
     def show(self, *, path: bool, keyframes: bool, uncertainty: bool) -> None:
-        """Show or hide the parts."""
-        self._keyframes_shown = keyframes
-        if self.line is not None:
-            self.line.visible = path
-        if self.uncertainty is not None:
-            self.uncertainty.visible = uncertainty
-        self._show_frusta()
+        """Choose the parts that are shown, as long as nobody looks from the path."""
+        self._wanted = (path, keyframes, uncertainty)
+        self._show_wanted()
 
     def enlarge(self, factor: float) -> None:
         """Draw the ellipsoids at another multiple of three standard deviations."""
@@ -125,22 +123,27 @@ class PathLayer:
             self.uncertainty.batched_scales = (3 * factor * self._sigmas).astype(np.float32)
 
     def make_way(self, positions: Float[np.ndarray, "b 3"]) -> None:
-        """Hide the frusta around browsers' cameras, which would be drawn over their view.
+        """Hide the path while a browser looks from one of its poses, because it would cover the view.
 
         Args:
             positions: of the browsers' cameras.
         """
         places = np.concatenate([self._keyframes.positions, np.asarray(self.replay.position)[None]])
         distances = np.linalg.norm(places[:, None] - positions[None], axis=2)
-        near = np.any(distances < 2 * self._length, axis=1)
-        self.replay.visible = not near[-1]
-        if not np.array_equal(near[:-1], self._near):
-            self._near = near[:-1]
-            self._show_frusta()
+        inside = bool(np.any(distances < _INSIDE * self._length))
+        if inside != self._inside:
+            self._inside = inside
+            self._show_wanted()
 
-    def _show_frusta(self) -> None:
-        for frustum, near in zip(self.frusta, self._near, strict=True):
-            frustum.visible = self._keyframes_shown and not near
+    def _show_wanted(self) -> None:
+        path, keyframes, uncertainty = (wanted and not self._inside for wanted in self._wanted)
+        if self.line is not None:
+            self.line.visible = path
+        if self.uncertainty is not None:
+            self.uncertainty.visible = uncertainty
+        for frustum in self.frusta:
+            frustum.visible = keyframes
+        self.replay.visible = not self._inside
 
     def _add_line(self, trajectory: Trajectory) -> viser.LineSegmentsHandle | None:
         positions = trajectory.positions.astype(np.float32)

@@ -71,7 +71,8 @@ class MapScene:
         self.server = server
         self._trajectory, self._keyframes = trajectory, keyframes
         self._index, self._look = 0, Look()
-        self._drawing = Latest("viewer")
+        # Rendering may have to compile first; the map's colours don't wait for it.
+        self._sending, self._rendering = Latest("sending"), Latest("rendering")
         self._stage = Stage(server, splats, trajectory, keyframes, camera, covariances, max_gaussians)
         self.splats = self._stage.map.node
         path = self._stage.path
@@ -104,7 +105,8 @@ class MapScene:
             self._clock.close()
         if self._downloads is not None:
             self._downloads.close()
-        self._drawing.close()
+        self._sending.close()
+        self._rendering.close()
         self.server.stop()
 
     def show_map(
@@ -256,7 +258,7 @@ class MapScene:
 
     def _look_chosen(self) -> None:
         """Draw what the controls say, once they rest."""
-        self._drawing.call("map", lambda: self._draw(self._map_controls.look), rest_s=_REST_S)
+        self._sending.call("map", lambda: self._draw(self._map_controls.look), rest_s=_REST_S)
 
     def _frame_chosen(self) -> None:
         """Go to the frame of the slider."""
@@ -308,7 +310,7 @@ class MapScene:
         def draw() -> None:
             path.show_picture(panel.draw(index, look))
 
-        self._drawing.call("frame", draw)
+        self._rendering.call("frame", draw)
 
     def _save_view(self, path: Path, client: viser.ClientHandle, width: int, height: int) -> None:
         camera = view_camera(float(client.camera.fov), width, height)

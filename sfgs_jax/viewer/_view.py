@@ -1,5 +1,7 @@
 """A finished run, or a file of Gaussians, in the browser."""
 
+import contextlib
+import io
 import socket
 import threading
 import webbrowser
@@ -43,9 +45,7 @@ def view_run(
     """
     path = Path(path)
     run = open_finished_run(path)
-    server = viser.ViserServer(
-        host=host, port=port or _free_port(host), label=f"sfgs-jax · {run.name}", verbose=False
-    )
+    server = _server(host, port, run.name)
     scene = MapScene(
         server,
         splats_of(run.gaussians),
@@ -76,6 +76,14 @@ def view_run(
         finally:
             scene.close()
     return scene
+
+
+def _server(host: str, port: int, name: str) -> viser.ViserServer:
+    # viser prints a table of its addresses, whatever it is told.
+    with contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(
+            host=host, port=port or _free_port(host), label=f"sfgs-jax · {name}", verbose=False
+        )
 
 
 def _free_port(host: str) -> int:
