@@ -46,5 +46,5 @@ def extent(
     """
     if not len(points):
         return np.zeros(3), np.zeros(3)
-    places = points @ axes.T
+    places = points @ axes.T.astype(points.dtype)
     return np.floor(10 * places.min(axis=0)) / 10, np.ceil(10 * places.max(axis=0)) / 10

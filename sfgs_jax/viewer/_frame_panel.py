@@ -83,16 +83,22 @@ class FramePanel:
             The recorded picture; None if there is none.
         """
         frame = None if self._frames is None else self._frames.frame(index)
+        if frame is not None and look.mode != "depth":
+            # Rendering may have to compile first.
+            self._show_recorded(self._colours(frame))
         rendered, limits = self._rendered(index, look)
         self.rendered.image = rendered
         recorded = None if frame is None else self._recorded(frame, limits)
-        if self.recorded is not None:
-            self.recorded.image = np.zeros_like(rendered) if recorded is None else recorded
+        self._show_recorded(np.zeros_like(rendered) if recorded is None else recorded)
         elapsed = self._trajectory.timestamps[index] - self._trajectory.timestamps[0]
         text = f"Frame {index + 1} of {len(self._trajectory)}, {elapsed:.2f} s"
         unreadable = frame is None and self._frames is not None
         self.text.content = f"{text}. The recorded image can't be read." if unreadable else text
         return recorded
+
+    def _show_recorded(self, picture: UInt8[np.ndarray, "h w 3"]) -> None:
+        if self.recorded is not None:
+            self.recorded.image = picture
 
     def _rendered(
         self, index: int, look: Look
@@ -112,13 +118,16 @@ class FramePanel:
 
     def _recorded(self, frame: Frame, limits: tuple[float, float] | None) -> UInt8[np.ndarray, "h w 3"]:
         if limits is None:
-            return bytes_of(self._small(np.asarray(frame.rgb)))
+            return self._colours(frame)
         factor = frame.depth.shape[1] // self._camera.width
         # One pixel of each block: a mean over a border would be of neither surface.
         depth = np.asarray(frame.depth)[factor // 2 :: factor, factor // 2 :: factor]
         return depth_picture(
             depth[: self._camera.height, : self._camera.width], background=_BLACK, limits=limits
         )
+
+    def _colours(self, frame: Frame) -> UInt8[np.ndarray, "h w 3"]:
+        return bytes_of(self._small(np.asarray(frame.rgb)))
 
     def _small(self, rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w 3"]:
         """Means over blocks of pixels, the image of the panel's camera."""

@@ -166,6 +166,7 @@ class PathLayer:
                 thickness=1.5,
                 thickness_units="screen",
                 color=_KEYFRAME_COLOUR,
+                variant="filled",
                 wxyz=wxyz[i],
                 position=position,
             )
