@@ -82,19 +82,33 @@ class FramePanel:
         Returns:
             The recorded picture; None if there is none.
         """
-        frame = None if self._frames is None else self._frames.frame(index)
+        frame = self._frame(index)
         if frame is not None and look.mode != "depth":
             # Rendering may have to compile first.
             self._show_recorded(self._colours(frame))
-        rendered, limits = self._rendered(index, look)
+        recorded, rendered = self._pictures(frame, index, look)
         self.rendered.image = rendered
-        recorded = None if frame is None else self._recorded(frame, limits)
         self._show_recorded(np.zeros_like(rendered) if recorded is None else recorded)
         elapsed = self._trajectory.timestamps[index] - self._trajectory.timestamps[0]
         text = f"Frame {index + 1} of {len(self._trajectory)}, {elapsed:.2f} s"
         unreadable = frame is None and self._frames is not None
         self.text.content = f"{text}. The recorded image can't be read." if unreadable else text
         return recorded
+
+    def pictures(
+        self, index: int, look: Look
+    ) -> tuple[UInt8[np.ndarray, "h w 3"] | None, UInt8[np.ndarray, "h w 3"]]:
+        """The recorded picture, or None, and the rendered one; arguments as of `draw`."""
+        return self._pictures(self._frame(index), index, look)
+
+    def _pictures(
+        self, frame: Frame | None, index: int, look: Look
+    ) -> tuple[UInt8[np.ndarray, "h w 3"] | None, UInt8[np.ndarray, "h w 3"]]:
+        rendered, limits = self._rendered(index, look)
+        return None if frame is None else self._recorded(frame, limits), rendered
+
+    def _frame(self, index: int) -> Frame | None:
+        return None if self._frames is None else self._frames.frame(index)
 
     def _show_recorded(self, picture: UInt8[np.ndarray, "h w 3"]) -> None:
         if self.recorded is not None:

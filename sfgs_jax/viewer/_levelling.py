@@ -10,6 +10,9 @@ from sfgs_jax.viewer._splats import Splats
 _SAMPLE = 6000
 """Gaussians that take part."""
 
+_FEWEST = 100
+"""Flat Gaussians, below which planes could be chance."""
+
 _FLAT = 0.5
 """Largest ratio of a flat Gaussian's smallest standard deviation to the next."""
 
@@ -76,7 +79,7 @@ def find_level(splats: Splats, poses: Float[np.ndarray, "m 4 4"]) -> Level | Non
         The vertical; None where the map has no dominant planes, or they do not tell it.
     """
     normals, weights, centres = _flat_surface(splats)
-    if not len(normals):
+    if len(normals) < _FEWEST:
         return None
     prior = _mean_up(poses)
     up = _search(normals, weights, prior)

@@ -139,8 +139,8 @@ class Painter:
         return jnp.asarray(colours)
 
 
-def bytes_of(rgb: Float[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 3"]:
-    """An image in [0, 1] as bytes."""
+def bytes_of(rgb: Float[np.ndarray, "*n 3"]) -> UInt8[np.ndarray, "*n 3"]:
+    """Colours in [0, 1] as bytes."""
     return np.round(255 * np.clip(rgb, 0, 1)).astype(np.uint8)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import viser
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Camera, Trajectory
@@ -27,7 +27,7 @@ from sfgs_jax.viewer._stage import Stage
 MOST_GAUSSIANS = 300_000
 """Gaussians that a page draws; of a larger map it draws a sample."""
 
-_REST_S = 0.25
+_REST_S = 0.4
 """Time after the last event of a slider before the map is sent again."""
 
 
@@ -88,6 +88,7 @@ class MapScene:
                 self._panel = FramePanel(server.gui, painter, trajectory, camera, frames)
         self._add_controls(camera, notes)
         self.show_frame(0)
+        server.on_client_connect(lambda _: self._draw_frame())
 
     @property
     def url(self) -> str:
@@ -144,6 +145,19 @@ class MapScene:
         self._stage.make_way()
         self._draw_frame()
 
+    def pictures(self) -> tuple[UInt8[np.ndarray, "h w 3"] | None, UInt8[np.ndarray, "h w 3"]]:
+        """The pictures of the replayed frame, as the page shows them.
+
+        Returns:
+            The recorded one, or None if it is not there, and the map from its pose.
+
+        Raises:
+            InputError: there is no path, or the scene was made without `gaussians`.
+        """
+        if self._panel is None:
+            raise InputError("Pictures of a frame need `gaussians` and a path.")
+        return self._panel.pictures(self._index, self._look)
+
     def set_up(self, *, level: bool) -> None:
         """Choose which way is up.
 
@@ -152,14 +166,14 @@ class MapScene:
         """
         self._stage.set_up(level=level)
 
-    def box(self, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Box:
+    def box(self, low: tuple[float, float, float], high: tuple[float, float, float]) -> Box:
         """A box to crop with, along the level axes.
 
         Args:
             low: least coordinates to the right, ahead and up, metres.
             high: largest coordinates.
         """
-        return Box(self._stage.axes, np.asarray(low, float), np.asarray(high, float))
+        return Box(self._stage.axes, np.array(low, float), np.array(high, float))
 
     def save_still(
         self,
@@ -301,16 +315,12 @@ class MapScene:
         self._draw_frame()
 
     def _draw_frame(self) -> None:
-        """Renew the pictures of the frame, unless others are asked for meanwhile."""
+        """Renew the pictures of the frame, if somebody looks."""
         panel, path = self._panel, self._stage.path
-        if panel is None or path is None:
+        if panel is None or path is None or not self.server.get_clients():
             return
         index, look = self._index, self._look
-
-        def draw() -> None:
-            path.show_picture(panel.draw(index, look))
-
-        self._rendering.call("frame", draw)
+        self._rendering.call("frame", lambda: path.show_picture(panel.draw(index, look)))
 
     def _save_view(self, path: Path, client: viser.ClientHandle, width: int, height: int) -> None:
         camera = view_camera(float(client.camera.fov), width, height)
