@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import sfgs_jax.viewer
 from sfgs_jax.cli import ViewArguments
 from sfgs_jax.geometry import Trajectory, format_tum
 from sfgs_jax.splatting import Gaussians, load_spz, save_ply
@@ -44,15 +43,11 @@ def test_the_example_with_a_run_runs(gaussians, trajectory, tmp_path, monkeypatc
     save_ply(tmp_path / "map.ply", gaussians)
     for name in ("trajectory.txt", "keyframes.txt"):
         (tmp_path / name).write_text(format_tum(trajectory))
-    # Small images compile faster.
-    example = FOLDER_EXAMPLE.replace("runs/my_desk", str(tmp_path)).replace(
-        "640, height=480", "80, height=60"
-    )
-    assert example.count("80, height=60") == 1
+    example = FOLDER_EXAMPLE.replace("runs/my_desk", str(tmp_path))
+    assert example != FOLDER_EXAMPLE
     names: dict = {}
     exec(compile(example, "viewer.md", "exec"), names)  # the text under test is our own
     np.testing.assert_allclose(names["scene"].replay.position, trajectory.positions[2], atol=1e-6)
-    assert (tmp_path / "view.png").read_bytes()[1:4] == b"PNG"
     assert len(load_spz(tmp_path / "cropped.spz").means) == 4
 
 
@@ -69,8 +64,7 @@ def test_the_example_with_a_map_in_memory_runs(gaussians, trajectory):
 def test_every_control_and_option_exists():
     controls = re.findall(r"^\| ([A-Z][A-Za-z ,]+) \|", GUIDE, re.MULTILINE)
     assert len(controls) == 19
-    folder = Path(sfgs_jax.viewer.__file__).parent
-    source = (folder / "_controls.py").read_text()
+    source = (Path(inspect.getfile(MapScene)).parent / "_controls.py").read_text()
     names = [name for control in controls for name in control.split(", ")]
     assert all(f'"{name}"' in source for name in names)
     made = re.findall(r'gui\.add_(?!markdown|divider)\w+\(\s*"(\w[^"]*)"', source)
