@@ -5,23 +5,30 @@ from pathlib import Path
 
 import tyro
 
-from sfgs_jax.arrays import check_range
+from sfgs_jax.arrays import InputError, check_counts, check_range, enable_cache
+from sfgs_jax.cli._log import logger
 
 
 @dataclasses.dataclass(frozen=True)
 class ViewArguments:
-    """Show the map of a run, or a splat PLY file, in the browser."""
+    """Show a finished run, or a file of Gaussians, in the browser."""
 
     path: tyro.conf.Positional[Path]
-    """Folder that `sfgs-jax run` wrote, or a .ply file in the layout of 3DGS."""
+    """Folder that `sfgs-jax run` wrote, or a .ply, .splat or .spz file."""
     port: int = 8080
-    """Port of the web server. The next free port is taken if it is in use."""
+    """Port of the web server. The next free port is taken if it is in use; 0 takes any free one."""
     host: str = "127.0.0.1"
-    """Address to listen on. `0.0.0.0` lets other machines look, without any password."""
+    """Address to listen on. The default lets this machine alone look. `0.0.0.0` lets other machines look,
+    without any password."""
+    open: bool = False
+    """Open the page in the browser of this machine."""
+    max_gaussians: int = 300_000
+    """Most Gaussians that the page draws. Of a larger map it draws a sample, and says so."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
-        check_range(self, 1, 65535, "port")
+        check_range(self, 0, 65535, "port")
+        check_counts(self, 1, "max_gaussians")
 
 
 def view_command(arguments: list[str]) -> int:
@@ -30,5 +37,15 @@ def view_command(arguments: list[str]) -> int:
     # The web server is imported only where it is needed.
     from sfgs_jax.viewer import view_run
 
-    view_run(options.path, port=options.port, host=options.host)
+    try:
+        enable_cache()
+    except InputError as error:
+        logger.warning("%s", error)
+    view_run(
+        options.path,
+        port=options.port,
+        host=options.host,
+        max_gaussians=options.max_gaussians,
+        open_browser=options.open,
+    )
     return 0

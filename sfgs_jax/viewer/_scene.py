@@ -1,30 +1,50 @@
-"""The scene in the browser: the map, the path with its keyframes, and controls."""
+"""The page of a finished run: map, path, replay, and files to take away."""
 
-import threading
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import viser
+from jaxtyping import Float, UInt8
 
-from sfgs_jax.geometry import Trajectory, quaternions_from_rotations
+from sfgs_jax.arrays import InputError
+from sfgs_jax.geometry import Camera, Trajectory
+from sfgs_jax.splatting import Gaussians
+from sfgs_jax.viewer._cameras import pose_of
+from sfgs_jax.viewer._controls import MapControls, ReplayControls, SaveControls
+from sfgs_jax.viewer._cropping import Box
+from sfgs_jax.viewer._downloads import Downloads
+from sfgs_jax.viewer._files import MapFiles
+from sfgs_jax.viewer._finished_run import RecordedFrames
+from sfgs_jax.viewer._frame_panel import FramePanel, view_camera
+from sfgs_jax.viewer._latest import Latest
+from sfgs_jax.viewer._modes import Look, Mode
+from sfgs_jax.viewer._painting import Painter
+from sfgs_jax.viewer._replay import Replay
 from sfgs_jax.viewer._splats import Splats
+from sfgs_jax.viewer._stage import Stage
 
-# Trajectories don't hold intrinsics, so frusta have the field of view of a common RGB-D camera.
-_FIELD_OF_VIEW = np.radians(48)
-_ASPECT = 4 / 3
+MOST_GAUSSIANS = 300_000
+"""Gaussians that a page draws; of a larger map it draws a sample."""
 
-_PATH_COLOUR, _KEYFRAME_COLOUR, _REPLAY_COLOUR = (37, 99, 235), (15, 23, 42), (220, 38, 38)
-
-_REPLAY_FRAMES_PER_S = 20
+_REST_S = 0.4
+"""Time after the last event of a slider before the map is sent again."""
 
 
 class MapScene:
-    """A map and a path in a viser server's scene.
+    """A map and a path in a viser server's scene, with controls.
 
     Args:
         server: the viser server; `close` stops it.
         splats: the map.
         trajectory: the path; may be empty.
         keyframes: poses to mark; may be empty.
+        gaussians: the same map, for images, videos and files of it; None has none of them.
+        camera: intrinsics of the recording; None takes the field of view of a common camera.
+        covariances: of the path's poses, as tangents on the right, translation first; None if unknown.
+        frames: the recorded images; None if there are none.
+        notes: why something is not there, one sentence each.
+        max_gaussians: Gaussians that a page draws; of a larger map it draws a sample, and says so.
 
     Attributes:
         server: the viser server.
@@ -35,164 +55,280 @@ class MapScene:
     """
 
     def __init__(
-        self, server: viser.ViserServer, splats: Splats, trajectory: Trajectory, keyframes: Trajectory
+        self,
+        server: viser.ViserServer,
+        splats: Splats,
+        trajectory: Trajectory,
+        keyframes: Trajectory,
+        *,
+        gaussians: Gaussians | None = None,
+        camera: Camera | None = None,
+        covariances: Float[np.ndarray, "n 6 6"] | None = None,
+        frames: RecordedFrames | None = None,
+        notes: tuple[str, ...] = (),
+        max_gaussians: int = MOST_GAUSSIANS,
     ) -> None:
         self.server = server
-        self._splats = splats
-        self._trajectory = trajectory
-        self._closed = threading.Event()
-        self._player: threading.Thread | None = None
-        # Recordings start about level, and the world is the first camera's: y points down.
-        server.scene.set_up_direction("-y")
-        self.splats = server.scene.add_gaussian_splats(
-            "/map", splats.centres, splats.covariances, splats.rgb, splats.opacities
-        )
-        self.path: viser.SceneNodeHandle | None = None
-        self.replay: viser.CameraFrustumHandle | None = None
-        self.frusta: list[viser.CameraFrustumHandle] = []
-        self._map_controls()
-        if len(trajectory):
-            self._add_trajectory(keyframes)
-            self._replay_controls()
-        self._place_viewer()
+        self._trajectory, self._keyframes = trajectory, keyframes
+        self._index, self._look = 0, Look()
+        # Rendering may have to compile first; the map's colours don't wait for it.
+        self._sending, self._rendering = Latest("sending"), Latest("rendering")
+        self._stage = Stage(server, splats, trajectory, keyframes, camera, covariances, max_gaussians)
+        self.splats = self._stage.map.node
+        path = self._stage.path
+        self.path, self.replay = (None, None) if path is None else (path.line, path.replay)
+        self.frusta = [] if path is None else path.frusta
+
+        self._files: MapFiles | None = None
+        self._panel: FramePanel | None = None
+        if gaussians is not None:
+            painter = Painter(gaussians, splats, self._stage.axes, keyframes, camera)
+            self._files = MapFiles(painter, trajectory)
+            if path is not None:
+                self._panel = FramePanel(server.gui, painter, trajectory, camera, frames)
+        self._add_controls(camera, notes)
+        self.show_frame(0)
+        server.on_client_connect(lambda _: self._draw_frame())
+
+    @property
+    def url(self) -> str:
+        """Address of the page on this machine."""
+        host = self.server.get_host()
+        return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self.server.get_port()}"
+
+    def _repr_html_(self) -> str:
+        """The page in a notebook's cell."""
+        return f'<iframe src="{self.url}" width="100%" height="600" style="border: none"></iframe>'
 
     def close(self) -> None:
         """Stop the replay and the server."""
-        self._closed.set()
-        if self._player is not None:
-            self._player.join()
+        if self._clock is not None:
+            self._clock.close()
+        if self._downloads is not None:
+            self._downloads.close()
+        self._sending.close()
+        self._rendering.close()
         self.server.stop()
 
-    def show_map(self, *, size: float, least_opacity: float) -> None:
-        """Draw the Gaussians in another size, and hide transparent ones.
+    def show_map(
+        self,
+        *,
+        mode: Mode = "splats",
+        size: float = 1.0,
+        least_opacity: float = 0.0,
+        crop: Box | None = None,
+    ) -> None:
+        """Draw the map another way; it is sent to the browsers where that changes it.
 
         Args:
+            mode: what is drawn; docs/viewer.md explains the modes.
             size: factor on the standard deviations.
             least_opacity: Gaussians below this opacity are hidden.
+            crop: what is outside this box is hidden; None hides nothing.
         """
-        opacities = self._splats.opacities
-        self.splats.set_gaussians(
-            self._splats.centres,
-            self._splats.covariances * np.float32(size**2),
-            self._splats.rgb,
-            np.where(opacities >= least_opacity, opacities, 0),
-        )
+        self._draw(Look(mode, size, least_opacity, crop))
 
-    def show_frame(self, index: int, *, follow: bool) -> None:
-        """Put the replay's camera at a pose of the trajectory.
+    def show_frame(self, index: int, *, follow: bool = False) -> None:
+        """Put the replay's camera at a pose of the trajectory, and show its images.
 
         Args:
             index: position in the trajectory.
             follow: take every browser's camera there too.
         """
-        if self.replay is None:
+        if self._stage.path is None:
             return
+        self._index = index
         pose = self._trajectory.poses[index]
-        wxyz, position = quaternions_from_rotations(pose[None, :3, :3])[0], pose[:3, 3]
-        self.replay.wxyz, self.replay.position = wxyz, position
+        self._stage.path.place_replay(pose)
         if follow:
-            for client in self.server.get_clients().values():
-                with client.atomic():
-                    client.camera.wxyz, client.camera.position = wxyz, position
+            self._stage.look_from(pose, None)
+        self._stage.make_way()
+        self._draw_frame()
 
-    def _add_trajectory(self, keyframes: Trajectory) -> None:
-        scene, positions = self.server.scene, self._trajectory.positions
-        extent = float(np.linalg.norm(np.ptp(positions, axis=0)))
-        size = float(np.clip(0.02 * extent, 0.01, 0.15))
-        if len(positions) > 1:
-            segments = np.stack([positions[:-1], positions[1:]], axis=1)
-            self.path = scene.add_line_segments(
-                "/trajectory/path",
-                segments.astype(np.float32),
-                _PATH_COLOUR,
-                thickness=3.0,
-                thickness_units="screen",
-            )
-        wxyz = quaternions_from_rotations(keyframes.poses[:, :3, :3])
-        self.frusta = [
-            scene.add_camera_frustum(
-                f"/trajectory/keyframes/{i}",
-                fov=_FIELD_OF_VIEW,
-                aspect=_ASPECT,
-                scale=size,
-                thickness=1.0,
-                thickness_units="screen",
-                color=_KEYFRAME_COLOUR,
-                wxyz=wxyz[i],
-                position=keyframes.positions[i],
-            )
-            for i in range(len(keyframes))
-        ]
-        self.replay = scene.add_camera_frustum(
-            "/replay",
-            fov=_FIELD_OF_VIEW,
-            aspect=_ASPECT,
-            scale=2 * size,
-            thickness=3.0,
-            thickness_units="screen",
-            color=_REPLAY_COLOUR,
+    def pictures(self) -> tuple[UInt8[np.ndarray, "h w 3"] | None, UInt8[np.ndarray, "h w 3"]]:
+        """The pictures of the replayed frame, as the page shows them.
+
+        Returns:
+            The recorded one, or None if it is not there, and the map from its pose.
+
+        Raises:
+            InputError: there is no path, or the scene was made without `gaussians`.
+        """
+        if self._panel is None:
+            raise InputError("Pictures of a frame need `gaussians` and a path.")
+        return self._panel.pictures(self._index, self._look)
+
+    def set_up(self, *, level: bool) -> None:
+        """Choose which way is up.
+
+        Args:
+            level: as the map's planes tell, if they do; otherwise as the first camera was held.
+        """
+        self._stage.set_up(level=level)
+
+    def box(self, low: tuple[float, float, float], high: tuple[float, float, float]) -> Box:
+        """A box to crop with, along the level axes.
+
+        Args:
+            low: least coordinates to the right, ahead and up, metres.
+            high: largest coordinates.
+        """
+        return Box(self._stage.axes, np.array(low, float), np.array(high, float))
+
+    def save_still(
+        self,
+        path: Path | str,
+        *,
+        width: int,
+        height: int,
+        T_world_cam: Float[np.ndarray, "4 4"] | None = None,
+    ) -> None:
+        """Write an image of the map, as it is shown, as PNG.
+
+        Args:
+            path: the file; one that exists is replaced.
+            width: of the image, pixels.
+            height: of the image, pixels.
+            T_world_cam: pose of the camera; None takes the replayed frame's.
+
+        Raises:
+            InputError: the size is out of range, or there is no map or no pose to take.
+        """
+        if T_world_cam is None and not len(self._trajectory):
+            raise InputError("Without a path an image needs the pose T_world_cam.")
+        pose = self._trajectory.poses[self._index] if T_world_cam is None else T_world_cam
+        self._save_image(Path(path), view_camera(self._stage.fov, width, height), pose)
+
+    def save_video(
+        self,
+        path: Path | str,
+        *,
+        width: int,
+        height: int,
+        speed: float = 1.0,
+        progress: Callable[[float], bool] = lambda _: True,
+    ) -> bool:
+        """Write a video of the map along the path as MP4.
+
+        Args:
+            path: the file; one that exists is replaced.
+            width: of the images, pixels; an odd one is made even.
+            height: of the images, pixels; an odd one is made even.
+            speed: seconds of the recording per second.
+            progress: told the share that is done; it answers whether to go on.
+
+        Returns:
+            Whether it went to the end; a file that did not is removed.
+
+        Raises:
+            InputError: there is no map or path, the size is out of range, or the file can't be written.
+        """
+        return self._needed_files().video(
+            Path(path),
+            view_camera(self._stage.fov, width // 2 * 2, height // 2 * 2),
+            self._look,
+            dark=self._map_controls.dark,
+            speed=speed,
+            progress=progress,
         )
-        self.show_frame(0, follow=False)
 
-    def _map_controls(self) -> None:
-        gui = self.server.gui
-        with gui.add_folder("Map"):
-            gui.add_markdown(f"{len(self._splats.centres):,} Gaussians")
-            size = gui.add_slider("Size", min=0.1, max=2.0, step=0.05, initial_value=1.0)
-            opacity = gui.add_slider("Least opacity", min=0.0, max=1.0, step=0.02, initial_value=0.0)
+    def save_map(self, path: Path | str) -> None:
+        """Write the Gaussians that are shown; the suffix .ply, .spz, .glb or .splat names the format.
 
-            def update(_: viser.GuiEvent) -> None:
-                self.show_map(size=size.value, least_opacity=opacity.value)
+        Args:
+            path: the file; one that exists is replaced.
 
-            size.on_update(update)
-            opacity.on_update(update)
+        Raises:
+            InputError: the suffix names no format, or nothing is shown.
+        """
+        self._needed_files().map(Path(path), self._look)
 
-    def _replay_controls(self) -> None:
-        gui = self.server.gui
-        with gui.add_folder("Trajectory"):
-            show_path = gui.add_checkbox("Path", initial_value=True)
-            show_frusta = gui.add_checkbox("Keyframes", initial_value=True)
-        with gui.add_folder("Replay"):
-            last = len(self._trajectory) - 1
-            frame = gui.add_slider(
-                "Frame", min=0, max=max(last, 1), step=1, initial_value=0, disabled=last < 1
-            )
-            play = gui.add_checkbox("Play", initial_value=False)
-            follow = gui.add_checkbox("Look from there", initial_value=False)
+    def _needed_files(self) -> MapFiles:
+        if self._files is None:
+            raise InputError("The scene was made without `gaussians`: it can't write files of them.")
+        return self._files
 
-        @show_path.on_update
-        def _(_: viser.GuiEvent) -> None:
-            if self.path is not None:
-                self.path.visible = show_path.value
+    def _add_controls(self, camera: Camera | None, notes: tuple[str, ...]) -> None:
+        stage, gui = self._stage, self.server.gui
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Map"):
+            self._map_controls = MapControls(gui, stage, on_look=self._look_chosen)
+        self._clock: Replay | None = None
+        self._replay_controls: ReplayControls | None = None
+        if stage.path is not None:
+            with tabs.add_tab("Replay"):
+                self._replay_controls = ReplayControls(
+                    gui, self._trajectory, stage.path, on_frame=self._frame_chosen, on_play=self._play_chosen
+                )
+            stage.path.on_keyframe(self._keyframe_clicked)
+            self._clock = Replay(self._trajectory.timestamps, self._frame_come)
+        self._downloads: Downloads | None = None
+        if self._files is not None:
+            with tabs.add_tab("Save"):
+                controls = SaveControls(gui, camera, has_path=stage.path is not None)
+            self._downloads = Downloads(controls, self._save_view, self._save_path, self.save_map)
+        for note in notes:
+            gui.add_markdown(note)
 
-        @show_frusta.on_update
-        def _(_: viser.GuiEvent) -> None:
-            for frustum in self.frusta:
-                frustum.visible = show_frusta.value
+    def _look_chosen(self) -> None:
+        """Draw what the controls say, once they rest."""
+        self._sending.call("map", lambda: self._draw(self._map_controls.look), rest_s=_REST_S)
 
-        def move(_: viser.GuiEvent) -> None:
-            self.show_frame(min(frame.value, last), follow=follow.value)
+    def _frame_chosen(self) -> None:
+        """Go to the frame of the slider."""
+        controls = self._replay_controls
+        if controls is None or self._clock is None:
+            return
+        self._clock.go_to(controls.frame)
+        self.show_frame(controls.frame, follow=controls.follow)
+        if not controls.follow:
+            self._stage.let_go()
 
-        frame.on_update(move)
-        follow.on_update(move)
+    def _frame_come(self, index: int) -> None:
+        """Go to the frame whose time has come."""
+        if self._replay_controls is not None:
+            self._replay_controls.frame = index
+            self.show_frame(index, follow=self._replay_controls.follow)
 
-        def run() -> None:
-            while not self._closed.wait(1 / _REPLAY_FRAMES_PER_S):
-                if play.value and last > 0:
-                    frame.value = (frame.value + 1) % (last + 1)
+    def _play_chosen(self) -> None:
+        controls = self._replay_controls
+        if controls is None or self._clock is None:
+            return
+        if controls.playing:
+            self._clock.play(speed=controls.speed)
+        else:
+            self._clock.pause()
 
-        self._player = threading.Thread(target=run, name="replay", daemon=True)
-        self._player.start()
+    def _keyframe_clicked(self, keyframe: int, client: viser.ClientHandle | None) -> None:
+        """Take the browser to the keyframe, and the replay to its frame."""
+        times = self._trajectory.timestamps
+        index = int(np.argmin(np.abs(times - self._keyframes.timestamps[keyframe])))
+        if self._replay_controls is not None and self._clock is not None:
+            self._replay_controls.frame = index
+            self._clock.go_to(index)
+        self.show_frame(index)
+        self._stage.look_from(self._keyframes.poses[keyframe], client)
 
-    def _place_viewer(self) -> None:
-        """Start new browsers a little behind the first camera, or in front of the map's middle."""
-        start = self.server.initial_camera
-        if len(self._trajectory):
-            pose = self._trajectory.poses[0]
-            position, forward = pose[:3, 3], pose[:3, 2]
-            start.position = position - 0.8 * forward - 0.3 * pose[:3, 1]
-            start.look_at = position + 1.5 * forward
-        elif len(self._splats.centres):
-            low, middle, high = np.percentile(self._splats.centres, [5, 50, 95], axis=0)
-            start.position = middle - np.array([0.0, 0.0, 1.5 * np.linalg.norm(high - low)])
-            start.look_at = middle
+    def _draw(self, look: Look) -> None:
+        self._look = look
+        self._map_controls.explain(self._stage.map.show(look))
+        self._draw_frame()
+
+    def _draw_frame(self) -> None:
+        """Renew the pictures of the frame, if somebody looks."""
+        panel, path = self._panel, self._stage.path
+        if panel is None or path is None or not self.server.get_clients():
+            return
+        index, look = self._index, self._look
+        self._rendering.call("frame", lambda: path.show_picture(panel.draw(index, look)))
+
+    def _save_view(self, path: Path, client: viser.ClientHandle, width: int, height: int) -> None:
+        camera = view_camera(float(client.camera.fov), width, height)
+        self._save_image(path, camera, pose_of(client.camera))
+
+    def _save_image(self, path: Path, camera: Camera, T_world_cam: Float[np.ndarray, "4 4"]) -> None:
+        self._needed_files().still(path, T_world_cam, camera, self._look, dark=self._map_controls.dark)
+
+    def _save_path(self, path: Path, width: int, height: int, progress: Callable[[float], bool]) -> bool:
+        speed = 1.0 if self._replay_controls is None else self._replay_controls.speed
+        return self.save_video(path, width=width, height=height, speed=speed, progress=progress)

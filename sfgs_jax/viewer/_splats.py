@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32, Int
 
 from sfgs_jax.geometry import rotations_from_quaternions
 from sfgs_jax.splatting import Gaussians, sh_to_rgb
@@ -25,6 +25,14 @@ class Splats:
     rgb: Float32[np.ndarray, "n 3"]
     opacities: Float32[np.ndarray, "n 1"]
 
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    def __getitem__(self, chosen: Int[np.ndarray, " k"] | Bool[np.ndarray, " n"]) -> "Splats":
+        return Splats(
+            self.centres[chosen], self.covariances[chosen], self.rgb[chosen], self.opacities[chosen]
+        )
+
 
 def splats_of(gaussians: Gaussians) -> Splats:
     """The Gaussians in use: covariance R S² Rᵀ from rotation and scales, colour from degree 0."""
@@ -39,3 +47,19 @@ def splats_of(gaussians: Gaussians) -> Splats:
         rgb=np.clip(rgb, 0, 1).astype(np.float32),
         opacities=(0.5 * (1 + np.tanh(0.5 * logits)))[:, None].astype(np.float32),
     )
+
+
+def sampled(splats: Splats, most: int) -> Splats:
+    """A random sample of a map that is too large to be sent.
+
+    Those that are left are enlarged, so that together they cover the same area.
+
+    Args:
+        splats: the map.
+        most: number of Gaussians to keep.
+    """
+    count = len(splats)
+    if count <= most:
+        return splats
+    kept = splats[np.sort(np.random.default_rng(0).permutation(count)[:most])]
+    return Splats(kept.centres, kept.covariances * np.float32(count / most), kept.rgb, kept.opacities)

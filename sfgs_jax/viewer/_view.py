@@ -1,26 +1,40 @@
-"""A finished run, or a splat file, in the browser."""
+"""A finished run, or a file of Gaussians, in the browser."""
 
+import contextlib
+import io
+import socket
 import threading
+import webbrowser
 from pathlib import Path
 
-import numpy as np
 import viser
 
-from sfgs_jax.geometry import Trajectory, read_tum
-from sfgs_jax.splatting import load_ply, map_file
-from sfgs_jax.viewer._scene import MapScene
+from sfgs_jax.viewer._finished_run import open_finished_run
+from sfgs_jax.viewer._scene import MOST_GAUSSIANS, MapScene
 from sfgs_jax.viewer._splats import splats_of
 
+_LOCAL = ("127.0.0.1", "localhost", "::1")
 
-def view_run(path: Path | str, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True) -> MapScene:
-    """Open the map of a run in viser: the Gaussians, the path with its keyframes, and a replay.
 
-    Prints the address to open in a browser.
+def view_run(
+    path: Path | str,
+    *,
+    port: int = 8080,
+    host: str = "127.0.0.1",
+    max_gaussians: int = MOST_GAUSSIANS,
+    open_browser: bool = False,
+    block: bool = True,
+) -> MapScene:
+    """Show a finished run in the browser: its map, its path, and its recorded images beside rendered ones.
+
+    Prints the address of the page. In a notebook the result of `block=False` shows the page in its cell.
 
     Args:
-        path: folder that a run wrote, or a .ply file in the layout of 3DGS, which is shown without a path.
-        port: port to listen on; the next free one is taken if it is in use.
+        path: folder that a run wrote; or a .ply, .splat or .spz file, which is shown without a path.
+        port: port to listen on; the next free one is taken if it is in use, and 0 takes any free one.
         host: address to listen on; "0.0.0.0" lets other machines look, without any password.
+        max_gaussians: Gaussians that the page draws; of a larger map it draws a sample, and says so.
+        open_browser: open the page in the browser of this machine.
         block: wait for Ctrl-C, stop the server, and return then.
 
     Returns:
@@ -30,15 +44,30 @@ def view_run(path: Path | str, *, port: int = 8080, host: str = "127.0.0.1", blo
         InputError: there is no map, or a file is damaged.
     """
     path = Path(path)
-    splats = splats_of(load_ply(map_file(path)))
-    nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-    trajectory, keyframes = (
-        read_tum(path / name) if (path / name).is_file() else nothing
-        for name in ("trajectory.txt", "keyframes.txt")
+    run = open_finished_run(path)
+    server = _server(host, port, run.name)
+    scene = MapScene(
+        server,
+        splats_of(run.gaussians),
+        run.trajectory,
+        run.keyframes,
+        gaussians=run.gaussians,
+        camera=run.camera,
+        covariances=run.covariances,
+        frames=run.frames,
+        notes=run.notes,
+        max_gaussians=max_gaussians,
     )
-    server = viser.ViserServer(host=host, port=port, label=f"sfgs-jax · {path.name}", verbose=False)
-    scene = MapScene(server, splats, trajectory, keyframes)
-    print(f"{path} is at http://{host}:{server.get_port()} (Ctrl-C ends)", flush=True)
+    who = (
+        "this machine alone can open it"
+        if host in _LOCAL
+        else "other machines can open it, without a password"
+    )
+    print(f"{path} is at {scene.url} ({who}; Ctrl-C ends)", flush=True)
+    for note in run.notes:
+        print(note, flush=True)
+    if open_browser:
+        webbrowser.open(scene.url)
     if block:
         try:
             threading.Event().wait()
@@ -47,3 +76,17 @@ def view_run(path: Path | str, *, port: int = 8080, host: str = "127.0.0.1", blo
         finally:
             scene.close()
     return scene
+
+
+def _server(host: str, port: int, name: str) -> viser.ViserServer:
+    # viser prints a table of its addresses, whatever it is told.
+    with contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(
+            host=host, port=port or _free_port(host), label=f"sfgs-jax · {name}", verbose=False
+        )
+
+
+def _free_port(host: str) -> int:
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        return probe.getsockname()[1]

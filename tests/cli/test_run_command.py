@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax.cli import COMMANDS, Command, main, run_command
-from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, prefetch, write_recording
+from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, open_recording, prefetch, write_recording
 from sfgs_jax.geometry import read_covariances, read_tum
 from sfgs_jax.slam import OUTPUT_FILES
 from sfgs_jax.splatting import load_ply
@@ -97,7 +97,7 @@ def finished(recording_folder, tmp_path_factory):
     return out
 
 
-def test_writes_every_output(finished):
+def test_writes_every_output(finished, recording_folder):
     assert {path.name for path in finished.iterdir()} == WRITTEN
     trajectory = read_tum(finished / "trajectory.txt")
     assert len(trajectory) == NUM_FRAMES
@@ -116,6 +116,10 @@ def test_writes_every_output(finished):
     # All of the run has the compilation and the refinement besides.
     assert metrics["fps"]["frames"] > metrics["fps"]["overall"] > 0
     assert metrics["memory"]["peak_mb"] > 50
+    camera = open_recording(recording_folder).camera
+    found = metrics["camera"]
+    assert (found["width"], found["height"]) == (camera.width, camera.height)
+    np.testing.assert_allclose(found["fx"], camera.fx, rtol=1e-6)
 
 
 def test_the_same_run_gives_the_same_files(finished, recording_folder, tmp_path):

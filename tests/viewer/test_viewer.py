@@ -6,14 +6,8 @@ import pytest
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Trajectory, format_tum, rotations_from_quaternions
-from sfgs_jax.splatting import Gaussians, save_ply
+from sfgs_jax.splatting import Gaussians, load_ply, load_spz, save_ply, save_splat, save_spz
 from sfgs_jax.viewer import splats_of, view_run
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def _listening(port: int) -> bool:
@@ -51,7 +45,7 @@ def run(gaussians, trajectory, tmp_path):
 
 @pytest.fixture
 def scene(run):
-    scene = view_run(run, port=_free_port(), block=False)
+    scene = view_run(run, port=0, block=False)
     yield scene
     scene.close()
 
@@ -86,9 +80,9 @@ def test_size_and_opacity_are_applied_to_the_original_map(scene, gaussians):
     splats = splats_of(gaussians)
     for _ in range(2):
         scene.show_map(size=2.0, least_opacity=0.5)
-    np.testing.assert_allclose(scene.splats.covariances, 4 * splats.covariances, rtol=2e-3, atol=1e-6)
-    shown = scene.splats.opacities[:, 0] > 0
-    np.testing.assert_array_equal(shown, splats.opacities[:, 0] >= 0.5)
+    opaque = splats.opacities[:, 0] >= 0.5
+    np.testing.assert_allclose(scene.splats.covariances, 4 * splats.covariances[opaque], rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(scene.splats.centers, splats.centres[opaque], rtol=1e-6)
 
 
 def test_the_replay_goes_where_the_trajectory_goes(scene, trajectory):
@@ -98,22 +92,87 @@ def test_the_replay_goes_where_the_trajectory_goes(scene, trajectory):
 
 
 def test_the_server_listens_until_it_is_closed(run, capsys):
-    scene = view_run(run, port=_free_port(), block=False)
+    scene = view_run(run, port=0, block=False)
     port = scene.server.get_port()
-    assert f"http://127.0.0.1:{port}" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"{scene.url} (this machine alone can open it" in said
+    assert f'<iframe src="http://127.0.0.1:{port}"' in scene._repr_html_()
     assert _listening(port)
     scene.close()
     assert not _listening(port)
 
 
-def test_a_splat_file_alone_has_no_path(run):
-    scene = view_run(run / "map.ply", port=_free_port(), block=False)
+@pytest.mark.parametrize(
+    ("name", "save"), [("a.ply", save_ply), ("a.splat", save_splat), ("a.spz", save_spz)]
+)
+def test_a_file_of_gaussians_alone_has_no_path(gaussians, tmp_path, name, save):
+    save(tmp_path / name, gaussians)
+    scene = view_run(tmp_path / name, port=0, block=False)
     try:
         assert scene.path is None
         assert scene.frusta == []
         assert len(scene.splats.centers) == 16
+        with pytest.raises(InputError, match="pose"):
+            scene.save_still(tmp_path / "a.png", width=64, height=48)
+        with pytest.raises(InputError, match="no video"):
+            scene.save_video(tmp_path / "a.mp4", width=64, height=48)
     finally:
         scene.close()
+
+
+def test_a_large_map_is_sampled_and_covers_as_much(run, gaussians):
+    scene = view_run(run, port=0, block=False, max_gaussians=4)
+    try:
+        chosen = [
+            int(np.argmin(np.linalg.norm(np.asarray(gaussians.means) - centre, axis=1)))
+            for centre in scene.splats.centers
+        ]
+        assert len(set(chosen)) == 4
+        expected = 4 * splats_of(gaussians).covariances[chosen]
+        np.testing.assert_allclose(scene.splats.covariances, expected, rtol=2e-3, atol=1e-6)
+    finally:
+        scene.close()
+
+
+def test_modes_change_colours_and_leave_the_gaussians(scene, gaussians):
+    splats = splats_of(gaussians)
+    scene.show_map(mode="normals")
+    smallest = np.argmin(np.asarray(gaussians.log_scales)[:16], axis=1)
+    rotations = rotations_from_quaternions(np.asarray(gaussians.quaternions)[:16])
+    normals = np.abs(rotations[np.arange(16), :, smallest])
+    # Without planes the axes are the first camera's: right, ahead and up.
+    np.testing.assert_allclose(scene.splats.rgbs / 255, normals[:, [0, 2, 1]], atol=0.01)
+    np.testing.assert_allclose(scene.splats.centers, splats.centres, rtol=1e-6)
+    scene.show_map(mode="depth")
+    assert (scene.splats.rgbs == 255).all()
+    scene.show_map(mode="points")
+    assert not scene.splats.visible
+    points = scene.server.scene.get_handle_by_name("/points")
+    np.testing.assert_allclose(points.points, splats.centres)
+    scene.show_map()
+    assert scene.splats.visible
+    assert not points.visible
+    np.testing.assert_allclose(scene.splats.rgbs / 255, splats.rgb, atol=0.01)
+
+
+def test_a_crop_box_cuts_the_map_and_its_files(scene, gaussians, tmp_path):
+    box = scene.box((-10.0, -10.0, -10.0), (10.0, 10.0, 0.3))
+    scene.show_map(crop=box)
+    # y points down, so that up to 0.3 m is y from -0.3 m on.
+    inside = np.asarray(gaussians.means)[:16, 1] >= -0.3
+    assert 0 < inside.sum() < 16
+    np.testing.assert_allclose(scene.splats.centers, np.asarray(gaussians.means)[:16][inside], rtol=1e-6)
+    for name, load in (("m.ply", load_ply), ("m.spz", load_spz)):
+        scene.save_map(tmp_path / name)
+        assert len(load(tmp_path / name).means) == inside.sum()
+    scene.save_map(tmp_path / "m.glb")
+    assert (tmp_path / "m.glb").read_bytes()[:4] == b"glTF"
+    with pytest.raises(InputError, match="names no format"):
+        scene.save_map(tmp_path / "m.obj")
+    scene.show_map(crop=scene.box((50.0, 50.0, 50.0), (60.0, 60.0, 60.0)))
+    assert not scene.splats.visible
+    with pytest.raises(InputError, match="nothing to save"):
+        scene.save_map(tmp_path / "m.ply")
 
 
 def test_nothing_to_show_is_an_input_error(tmp_path):
@@ -121,3 +180,6 @@ def test_nothing_to_show_is_an_input_error(tmp_path):
         view_run(tmp_path / "none")
     with pytest.raises(InputError, match=r"holds no map\.ply"):
         view_run(tmp_path)
+    (tmp_path / "map.glb").write_bytes(b"glTF")
+    with pytest.raises(InputError, match=r"\.ply, \.splat, \.spz"):
+        view_run(tmp_path / "map.glb")

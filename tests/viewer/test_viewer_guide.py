@@ -12,7 +12,7 @@ import pytest
 
 from sfgs_jax.cli import ViewArguments
 from sfgs_jax.geometry import Trajectory, format_tum
-from sfgs_jax.splatting import Gaussians, save_ply
+from sfgs_jax.splatting import Gaussians, load_spz, save_ply
 from sfgs_jax.viewer import MapScene
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text()
@@ -38,7 +38,8 @@ def trajectory() -> Trajectory:
     return Trajectory(np.arange(6.0), poses)
 
 
-def test_the_example_with_a_run_runs(gaussians, trajectory, tmp_path):
+def test_the_example_with_a_run_runs(gaussians, trajectory, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     save_ply(tmp_path / "map.ply", gaussians)
     for name in ("trajectory.txt", "keyframes.txt"):
         (tmp_path / name).write_text(format_tum(trajectory))
@@ -47,6 +48,7 @@ def test_the_example_with_a_run_runs(gaussians, trajectory, tmp_path):
     names: dict = {}
     exec(compile(example, "viewer.md", "exec"), names)  # the text under test is our own
     np.testing.assert_allclose(names["scene"].replay.position, trajectory.positions[2], atol=1e-6)
+    assert len(load_spz(tmp_path / "cropped.spz").means) == 4
 
 
 def test_the_example_with_a_map_in_memory_runs(gaussians, trajectory):
@@ -60,12 +62,15 @@ def test_the_example_with_a_map_in_memory_runs(gaussians, trajectory):
 
 
 def test_every_control_and_option_exists():
-    controls = re.findall(r"^\| ([A-Z][A-Za-z ]+) \|", GUIDE, re.MULTILINE)
-    assert len(controls) == 7
-    source = inspect.getsource(MapScene)
-    assert all(f'"{control}"' in source for control in controls)
-    options = {f"--{field.name}" for field in dataclasses.fields(ViewArguments)}
-    named = set(re.findall(r"`(--[a-z]+)", GUIDE))
+    controls = re.findall(r"^\| ([A-Z][A-Za-z ,]+) \|", GUIDE, re.MULTILINE)
+    assert len(controls) == 19
+    source = (Path(inspect.getfile(MapScene)).parent / "_controls.py").read_text()
+    names = [name for control in controls for name in control.split(", ")]
+    assert all(f'"{name}"' in source for name in names)
+    made = re.findall(r'gui\.add_(?!markdown|divider)\w+\(\s*"(\w[^"]*)"', source)
+    assert set(made) - {"Stop", "Format"} == set(names)
+    options = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(ViewArguments)}
+    named = set(re.findall(r"`(--[a-z-]+)", GUIDE))
     assert named == options - {"--path"}
     for name in re.findall(r"`scene\.([a-z]+)`", GUIDE):
-        assert f"self.{name}" in source
+        assert name in inspect.getdoc(MapScene)

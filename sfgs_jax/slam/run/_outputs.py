@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 
 from sfgs_jax.arrays import InputError, write_atomically
-from sfgs_jax.geometry import format_covariances, format_tum
+from sfgs_jax.geometry import Camera, format_covariances, format_tum
 from sfgs_jax.sensors import EXPOSURE_FILE, SENSOR_FILE, format_gains
 from sfgs_jax.slam.run._driver import Run
 from sfgs_jax.slam.run._sensor_file import write_sensors
@@ -118,11 +118,18 @@ def run_metrics(run: Run) -> dict[str, object]:
             "overall": round(run.num_frames / run.stopwatch.elapsed, 2),
         },
         "stages": stages,
+        "camera": _numbers_of(state.camera),
         "map": {"gaussians": used, "bytes": size, "dropped": state.mapping.dropped_seeds},
         "memory": {"peak_mb": round(peak_memory_mb(), 1)},
         "loops": {"accepted": len(state.graph.loops)},
         "versions": versions(),
     }
+
+
+def _numbers_of(camera: Camera) -> dict[str, float]:
+    """Intrinsics by the names of a camera.json: the images, freed of lens distortion, are of this camera."""
+    focal = {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")}
+    return {**focal, "width": camera.width, "height": camera.height}
 
 
 def _rate(stage: dict[str, float]) -> float:

@@ -113,9 +113,10 @@ def _ply_columns(coefficients: int) -> list[str]:
 def _read_vertices(path: Path) -> np.ndarray:
     """The vertex element of a PLY file, as a structured array."""
     try:
-        content = path.read_bytes()
-        _require_rows(content)
-        elements = PlyData.read(io.BytesIO(content))
+        _require_rows(path.read_bytes())
+        # plyfile maps a real file into memory. From a stream it reads number by number.
+        with path.open("rb") as file:
+            elements = PlyData.read(file)
         names = {element.name for element in elements}
     except (OSError, PlyParseError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"Cannot read {path} as a PLY file: {error}.") from error
