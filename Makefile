@@ -19,7 +19,7 @@ TEST_CACHE = JAX_COMPILATION_CACHE_DIR="$${JAX_COMPILATION_CACHE_DIR:-$(abspath 
 demo: $(VENV)/.installed
 	$(BIN)/sfgs-jax run $(DEMO_SOURCE) --out $(DEMO_OUT) --overwrite
 
-test: $(VENV)/.installed
+test: $(VENV)/.installed $(if $(filter true,$(CI)),$(VENV)/.installed-browser)
 	XLA_FLAGS="$$XLA_FLAGS $(TEST_XLA_FLAGS)" $(TEST_CACHE) $(BIN)/pytest -n $(PYTEST_WORKERS)
 
 lint: $(VENV)/.installed
@@ -47,6 +47,16 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 
 $(VENV)/.installed-docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	touch $@
+
+# The viewer's pages are tested in a browser. It comes from Debian's packages, so only root can install it.
+$(VENV)/.installed-browser: $(VENV)/.installed
+	@for name in chromium chromium-browser google-chrome google-chrome-stable chrome; do \
+		if command -v $$name; then exit 0; fi; \
+	done; \
+	if [ "$$(id -u)" != 0 ]; then echo "no browser is installed, and only root can install one"; exit 0; fi; \
+	apt-get update --quiet=2 && \
+	DEBIAN_FRONTEND=noninteractive apt-get install --quiet=2 --yes --no-install-recommends chromium
 	touch $@
 
 clean:
