@@ -1,9 +1,11 @@
 """Maps and paths in the browser, on viser.
 
 The function `view_run` shows the folder of a run or a splat file. `MapScene` shows any map and path in any
-viser server.
+viser server. `LiveView` shows a run while it goes on.
 """
 
+from sfgs_jax.viewer._live_view import LiveView as LiveView
+from sfgs_jax.viewer._run_control import RunControl as RunControl
 from sfgs_jax.viewer._scene import MapScene as MapScene
 from sfgs_jax.viewer._splats import Splats as Splats
 from sfgs_jax.viewer._splats import splats_of as splats_of
