@@ -25,6 +25,8 @@ _BRIGHTEST_DIFFERENCE = 0.4
 _TILE_WIDTH = 320
 """Width that one of the four images has about, pixels."""
 
+_FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.55
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -105,10 +107,11 @@ def _coloured(values: Float[np.ndarray, "h w"], colour_map: int) -> UInt8[np.nda
     return np.where(values[..., None] > 0, coloured, np.uint8(0))
 
 
-def _titled(image: UInt8[np.ndarray, "h w 3"], title: str) -> UInt8[np.ndarray, "h w 3"]:
+def _titled(image: UInt8[np.ndarray, "h w 3"], title: str) -> UInt8[np.ndarray, "H W 3"]:
     """The image, enlarged if it is small, with a title in its corner."""
     scale = max(1, round(_TILE_WIDTH / image.shape[1]))
     image = np.ascontiguousarray(np.repeat(np.repeat(image, scale, axis=0), scale, axis=1))
-    for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
-        cv2.putText(image, title, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, thickness, cv2.LINE_AA)
+    (width, height), _ = cv2.getTextSize(title, _FONT, _FONT_SCALE, 1)
+    image[: height + 16, : width + 16] //= 4
+    cv2.putText(image, title, (8, height + 8), _FONT, _FONT_SCALE, (255, 255, 255), 1, cv2.LINE_AA)
     return image

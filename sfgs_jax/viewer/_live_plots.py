@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import viser
-from jaxtyping import Float
+from jaxtyping import Float, Int, Shaped
 from viser import uplot
 
 from sfgs_jax.slam import Progress
@@ -71,7 +71,7 @@ class LivePlots:
     def show(
         self,
         history: History,
-        frames: Float[np.ndarray, " n"],
+        frames: Int[np.ndarray, " n"],
         errors_m: Float[np.ndarray, " n"],
         bounds_m: Float[np.ndarray, " n"],
     ) -> None:
@@ -84,8 +84,9 @@ class LivePlots:
             bounds_m: three standard deviations of these, metres.
         """
         count = len(history.frames)
-        _draw(self._times, history.frames, history.frame_ms[:count], history.tracking_ms[:count])
-        _draw(self._psnr, history.steps, history.psnr)
+        times = (history.frames[:count], history.frame_ms[:count], history.tracking_ms[:count])
+        _draw(self._times, *map(np.asarray, times))
+        _draw(self._psnr, np.asarray(history.steps), np.asarray(history.psnr))
         if self._errors is not None:
             _draw(self._errors, frames, 100 * errors_m, 100 * bounds_m)
 
@@ -111,9 +112,9 @@ def _plot(
     )
 
 
-def _draw(plot: viser.GuiUplotHandle, *columns: list[float] | list[int] | Float[np.ndarray, " n"]) -> None:
+def _draw(plot: viser.GuiUplotHandle, *columns: Shaped[np.ndarray, " n"]) -> None:
     if len(columns[0]) < 2:
         return
     step = 1 + len(columns[0]) // _MOST_POINTS
-    plot.data = tuple(np.asarray(column, np.float64)[::step] for column in columns)
+    plot.data = tuple(column[::step].astype(np.float64) for column in columns)
     plot.visible = True

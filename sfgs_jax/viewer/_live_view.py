@@ -3,6 +3,7 @@
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from types import TracebackType
 
@@ -20,8 +21,9 @@ _log = logging.getLogger(__name__)
 _TICK_S = 0.2
 """Seconds between two looks for news. The camera and the headline move with each."""
 
-_REST, _LONGEST_REST_S = 10.0, 20.0
-"""Rest after an update, as a multiple of the time that it took, and a limit on it."""
+_REST = 8.0
+"""Rest after an update, as a multiple of the least time that one of the last three took: their work is done
+on the processors that track, but an update that compiled says nothing about the next."""
 
 
 class LiveView:
@@ -159,7 +161,7 @@ class LiveView:
 
     def _work(self) -> None:
         moved = shown = None
-        due = 0.0
+        due, took = 0.0, deque([0.0], maxlen=3)
         while not self._closed.wait(_TICK_S):
             newest = self._newest
             if newest is None or newest is shown or not self.server.get_clients():
@@ -171,8 +173,8 @@ class LiveView:
                 if newest.urgent or time.monotonic() >= due:
                     shown, start = newest, time.monotonic()
                     self._display.show(newest)
-                    rest = min(_REST * (time.monotonic() - start), _LONGEST_REST_S)
-                    due = time.monotonic() + max(self._interval_s, rest)
+                    took.append(time.monotonic() - start)
+                    due = time.monotonic() + max(self._interval_s, _REST * min(took))
             except Exception:
                 if not self._complained:
                     _log.exception("The live view has failed. The run goes on, and this is not said again.")

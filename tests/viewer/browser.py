@@ -69,8 +69,9 @@ class OpenPage:
         self.page: Page = browser.new_page(viewport={"width": width, "height": height})
         self.page.on("console", self._listen)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.page.goto(f"http://127.0.0.1:{port}")
-        self.page.get_by_text("Connected").first.wait_for()
+        with self.page.expect_console_message(lambda message: message.text.startswith("Connected!")):
+            self.page.goto(f"http://127.0.0.1:{port}")
+        self.page.locator("canvas").first.wait_for()
 
     def close(self) -> None:
         """Close the page."""
@@ -88,6 +89,26 @@ class OpenPage:
             timeout_s: seconds after which Playwright raises its TimeoutError.
         """
         self.page.get_by_text(text).first.wait_for(timeout=1000 * timeout_s)
+
+    def tick(self, box: str, *, on: bool) -> None:
+        """Set the checkbox with this label.
+
+        Args:
+            box: its label.
+            on: whether it is to be ticked.
+        """
+        self.page.get_by_label(box, exact=True).set_checked(on, force=True)
+
+    def canvas(self) -> Float[np.ndarray, "H W 3"]:
+        """The scene without what lies over it, RGB in [0, 1]."""
+        # A notice tells that WebGL runs in software.
+        for notice in self.page.locator(".mantine-Notification-closeButton").all():
+            notice.click()
+        self.page.locator(".mantine-Notification-root").first.wait_for(state="detached")
+        box = self.page.locator("canvas").first.bounding_box()
+        assert box is not None
+        x, y, width, height = (round(box[name]) for name in ("x", "y", "width", "height"))
+        return self.screenshot()[y : y + height, x : x + width]
 
     def screenshot(self, path: Path | str | None = None) -> Float[np.ndarray, "H W 3"]:
         """The window, RGB in [0, 1].
