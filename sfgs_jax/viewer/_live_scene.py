@@ -40,6 +40,7 @@ class LiveScene:
         self._server = server
         # Recordings start about level, and the world is the first camera's: y points down.
         server.scene.set_up_direction("-y")
+        server.scene.configure_default_lights(cast_shadow=False)
         server.initial_camera.position, server.initial_camera.look_at = place_behind(np.eye(4))
         self.layers = {name: server.scene.add_frame(_node(name), show_axes=False) for name in LAYERS}
         self.splats: viser.GaussianSplatHandle | None = None

@@ -67,6 +67,7 @@ class OpenPage:
     def __init__(self, browser: Browser, port: int, *, width: int = 900, height: int = 500) -> None:
         self.errors: list[str] = []
         self.page: Page = browser.new_page(viewport={"width": width, "height": height})
+        self.page.set_default_timeout(60_000)
         self.page.on("console", self._listen)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         with self.page.expect_console_message(lambda message: message.text.startswith("Connected!")):
@@ -81,7 +82,7 @@ class OpenPage:
         """Press the button with this text."""
         self.page.get_by_role("button", name=button, exact=True).click()
 
-    def wait_for_text(self, text: str, *, timeout_s: float = 20) -> None:
+    def wait_for_text(self, text: str, *, timeout_s: float = 60) -> None:
         """Wait until the page shows a text.
 
         Args:
@@ -102,9 +103,7 @@ class OpenPage:
     def canvas(self) -> Float[np.ndarray, "H W 3"]:
         """The scene without what lies over it, RGB in [0, 1]."""
         # A notice tells that WebGL runs in software.
-        for notice in self.page.locator(".mantine-Notification-closeButton").all():
-            notice.click()
-        self.page.locator(".mantine-Notification-root").first.wait_for(state="detached")
+        self.page.add_style_tag(content='[class*="Notification"] { display: none !important; }')
         box = self.page.locator("canvas").first.bounding_box()
         assert box is not None
         x, y, width, height = (round(box[name]) for name in ("x", "y", "width", "height"))

@@ -1,4 +1,4 @@
-"""A run as an observer sees it, without tracking or mapping: poses are the true ones, the map is one frame."""
+"""A run as an observer sees it, without tracking and mapping: true poses, and a map of one frame."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -30,7 +30,7 @@ def gaussians_of(recording: SyntheticRecording, frame: Frame) -> Gaussians:
         means=jnp.asarray(points, jnp.float32),
         quaternions=jnp.tile(jnp.asarray([1.0, 0, 0, 0]), (len(depth), 1)),
         log_scales=jnp.asarray(np.tile(np.log(sizes)[:, None], (1, 3)), jnp.float32),
-        opacity_logits=jnp.full(len(depth), 3.0),
+        opacity_logits=jnp.asarray(np.full(len(depth), 3), jnp.float32),
         sh=rgb_to_sh(jnp.asarray(frame.rgb).reshape(-1, 3))[:, None],
         valid=jnp.asarray(depth > 0),
     )
@@ -48,9 +48,7 @@ def first_state(recording: SyntheticRecording) -> SlamState:
         feature_shapes(state.params), np.full(4, -1), 0, 0, identity, np.zeros(0), still, still[:3], 0
     )
     information, offsets = np.eye(6), np.zeros(0)
-    loop = Edge(
-        0, 1, identity, information, identity, information, True, True, offsets, np.zeros((6, 0))
-    )
+    loop = Edge(0, 1, identity, information, identity, information, True, True, offsets, np.zeros((6, 0)))
     graph = replace(
         state.graph,
         keyframes=(keyframe, keyframe),
@@ -61,9 +59,7 @@ def first_state(recording: SyntheticRecording) -> SlamState:
     rgb = np.round(255 * np.asarray(frame.rgb)).astype(np.uint8)
     depth = np.asarray(frame.depth)
     view = View(rgb, depth, depth > 0, still, 0, se3.identity(), 0, np.ones(3, np.float32))
-    gaussian_map = eqx.tree_at(
-        lambda m: m.gaussians, state.mapping.map, gaussians_of(recording, frame)
-    )
+    gaussian_map = eqx.tree_at(lambda m: m.gaussians, state.mapping.map, gaussians_of(recording, frame))
     mapping = replace(state.mapping, map=gaussian_map, views=(view,), keyframe_poses=graph.poses)
     return replace(state, graph=graph, mapping=mapping)
 
