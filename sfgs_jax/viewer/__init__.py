@@ -1,7 +1,7 @@
 """Maps and paths in the browser, on viser.
 
-The function `view_run` shows the folder of a run or a splat file. `MapScene` shows any map and path in any
-viser server. `LiveView` shows a run while it goes on.
+The function `view_run` shows the folder of a run or a splat file, and `LiveView` a run while it goes on. The
+class `MapScene` shows any map and path in any viser server.
 """
 
 from sfgs_jax.viewer._live_view import LiveView as LiveView

@@ -30,7 +30,7 @@ _FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.55
 
 @dataclass(frozen=True)
 class Comparison:
-    """What a frame and the map's render of it look like.
+    """A frame beside the map's render of it.
 
     Attributes:
         picture: recording and render in the upper row, their difference and the rendered depth in the lower.

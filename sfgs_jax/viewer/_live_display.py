@@ -1,4 +1,4 @@
-"""What a run looks like at one moment, put on the page and in the scene."""
+"""One moment of a run, put on the page and into the scene."""
 
 from dataclasses import dataclass
 

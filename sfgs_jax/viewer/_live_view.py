@@ -22,15 +22,15 @@ _TICK_S = 0.2
 """Seconds between two looks for news. The camera and the headline move with each."""
 
 _REST = 8.0
-"""Rest after an update, as a multiple of the least time that one of the last three took: their work is done
-on the processors that track, but an update that compiled says nothing about the next."""
+"""Rest after an update, as a multiple of its time: it takes processors from the tracker. The shortest of the
+last three updates counts, because one that compiled says nothing about the next."""
 
 
 class LiveView:
     """Shows a run in the browser while it goes on; an observer of `slam.run`.
 
     A thread sends the newest state to the browsers every few seconds, and nothing while none is connected.
-    What goes wrong there is logged once, and the run goes on. Results don't depend on it, to the bit.
+    An error there is logged once, and the run goes on. Results don't depend on the view, to the bit.
 
     The attribute `server` is viser's, and `control` pauses, steps and stops the run.
 

@@ -23,12 +23,12 @@ class RunControl:
 
     @property
     def paused(self) -> bool:
-        """Whether the run waits, or will after the frame in work."""
+        """True if the run waits, or will after the frame in work."""
         return self._paused
 
     @property
     def stopped(self) -> bool:
-        """Whether the run was asked to end."""
+        """True if the run was asked to end."""
         return self._stopped
 
     def pause(self) -> None:

@@ -65,7 +65,7 @@ def first_state(recording: SyntheticRecording) -> SlamState:
 
 
 def progress_of(recording: SyntheticRecording, state: SlamState) -> Iterator[slam.Progress]:
-    """What an observer is told of the frames of a recording, from a first state on."""
+    """Reports on the frames of a recording to an observer, from a first state on."""
     run = slam.Run(state)
     truth = np.linalg.inv(recording.ground_truth.poses[0]) @ recording.ground_truth.poses
     for number in range(len(recording)):

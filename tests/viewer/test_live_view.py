@@ -20,7 +20,7 @@ from tests.viewer.made_up_runs import first_state, progress_of
 
 NUM_FRAMES = 12
 BACKGROUND = 20 / 255
-"""Of the page in its dark colours."""
+"""Grey level behind the scene."""
 
 
 class MadeUpRun(threading.Thread):
