@@ -7,14 +7,15 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
 import tyro
 
-from sfgs_jax.arrays import FrameError, InputError, enable_cache, write_atomically
+from sfgs_jax.arrays import FrameError, InputError, check_range, enable_cache, write_atomically
 from sfgs_jax.cli._ablations import Ablation, ablated
 from sfgs_jax.cli._configuration import RunConfig, read_config, to_json
 from sfgs_jax.cli._evaluate import evaluate_folder
+from sfgs_jax.cli._live import keep_page, live_view
 from sfgs_jax.cli._log import logger, logging_to
 from sfgs_jax.cli._progress import reporting
 from sfgs_jax.cli._run_observer import RunObserver
@@ -28,11 +29,18 @@ from sfgs_jax.slam import (
     Run,
     SlamConfig,
     TooManySkipped,
+    combined,
     load_run,
     prepare_folder,
     run,
     write_run,
 )
+
+if TYPE_CHECKING:
+    from sfgs_jax.viewer import LiveView
+
+_INTERRUPTED = 130
+"""Exit status."""
 
 _USAGE = """usage: sfgs-jax run SOURCE [--out DIR] [OPTIONS]
 
@@ -79,10 +87,20 @@ class RunOptions:
     """Compute image metrics and write the report after the run."""
     quiet: bool = False
     """Print nothing but errors."""
+    view: bool = False
+    """Show the run in the browser while it goes on; the address is printed."""
+    view_port: int = 8080
+    """Port of the page. The next free port is taken if it is in use."""
+    view_host: str = "127.0.0.1"
+    """Address that the page listens on. `0.0.0.0` lets other machines look, and stop the run."""
     reader: ReaderOptions = dataclasses.field(default_factory=ReaderOptions)
     """Units, intrinsics and choice of frames."""
     slam: Annotated[SlamConfig, tyro.conf.arg(name="")] = dataclasses.field(default_factory=SlamConfig)
     """Settings of the system; the defaults are the preset of the recording's layout."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_range(self, 1, 65535, "view_port")
 
 
 def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
@@ -112,7 +130,15 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
         resumed = _resumed(folder, config, recording.camera) if options.resume else None
         write_atomically(folder / "config.json", to_json(config))
         frames = play if options.realtime else frames
-        return _run(options, config, recording, folder, resumed, frames, known)
+        what = (options, config, recording, folder, resumed, frames, known)
+        if not options.view:
+            return _run(*what, None)
+        with live_view(recording, folder, host=options.view_host, port=options.view_port) as view:
+            status = _run(*what, view)
+            # After Ctrl-C nobody wants to wait.
+            if status != _INTERRUPTED or view.control.stopped:
+                keep_page(view)
+            return status
 
 
 def _open(arguments: list[str]) -> tuple[str, RunOptions, Recording]:
@@ -175,6 +201,7 @@ def _run(
     resumed: Run | None,
     frames: FrameSource,
     sensors: SensorModel | None,
+    view: "LiveView | None",
 ) -> int:
     """Run over the frames, write the results and evaluate them; returns the exit status."""
     _begin_log(recording, resumed)
@@ -194,7 +221,7 @@ def _run(
                 frames(recording, first=first),
                 recording.camera,
                 config.slam,
-                observer=observer,
+                observer=observer if view is None else combined(observer, view),
                 storage=folder / STORAGE,
                 resumed=resumed,
                 realtime=options.realtime,
@@ -205,11 +232,13 @@ def _run(
     if result.interrupted and not options.realtime:
         observer.keep(result)
     written = _save(result, config, folder)
+    if view is not None:
+        view.finish(result, f"Results: {written}")
     if failure is not None:
         logger.error("%s", failure)
     if result.interrupted:
         _say_interrupted(result, written, can_resume=not options.realtime)
-        return 130
+        return _INTERRUPTED
     if not len(result.trajectory):
         raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")
     if written == folder:

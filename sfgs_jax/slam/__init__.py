@@ -30,10 +30,12 @@ from sfgs_jax.slam.mapping import MapParams as MapParams
 from sfgs_jax.slam.mapping import map_step as map_step
 from sfgs_jax.slam.run import OUTPUT_FILES as OUTPUT_FILES
 from sfgs_jax.slam.run import STORAGE as STORAGE
+from sfgs_jax.slam.run import Observer as Observer
 from sfgs_jax.slam.run import Progress as Progress
 from sfgs_jax.slam.run import Run as Run
 from sfgs_jax.slam.run import Stopwatch as Stopwatch
 from sfgs_jax.slam.run import TooManySkipped as TooManySkipped
+from sfgs_jax.slam.run import combined as combined
 from sfgs_jax.slam.run import load as load
 from sfgs_jax.slam.run import load_run as load_run
 from sfgs_jax.slam.run import prepare_folder as prepare_folder

@@ -1,13 +1,15 @@
 """Maps and paths in the browser, on viser.
 
-The function `view_run` shows the folder of a run or a file of Gaussians. `MapScene` shows any map and path in
-any viser server.
+The function `view_run` shows the folder of a run or a file of Gaussians, and `LiveView` a run while it goes
+on. The class `MapScene` shows any map and path in any viser server.
 """
 
 from sfgs_jax.viewer._cropping import Box as Box
 from sfgs_jax.viewer._finished_run import RecordedFrames as RecordedFrames
 from sfgs_jax.viewer._levelling import Level as Level
 from sfgs_jax.viewer._levelling import find_level as find_level
+from sfgs_jax.viewer._live_view import LiveView as LiveView
+from sfgs_jax.viewer._run_control import RunControl as RunControl
 from sfgs_jax.viewer._scene import MapScene as MapScene
 from sfgs_jax.viewer._splats import Splats as Splats
 from sfgs_jax.viewer._splats import splats_of as splats_of

@@ -18,6 +18,7 @@ from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, open_recording, prefe
 from sfgs_jax.geometry import read_covariances, read_tum
 from sfgs_jax.slam import OUTPUT_FILES
 from sfgs_jax.splatting import load_ply
+from tests.viewer.browser import OpenPage
 
 SMALL = [
     "--mapping.capacity",
@@ -122,9 +123,32 @@ def test_writes_every_output(finished, recording_folder):
     np.testing.assert_allclose(found["fx"], camera.fx, rtol=1e-6)
 
 
-def test_the_same_run_gives_the_same_files(finished, recording_folder, tmp_path):
-    out = tmp_path / "again"
-    assert run(recording_folder, out, "--config", str(finished / "config.json"), "--no-evaluate") == 0
+def test_the_same_run_gives_the_same_files_while_it_is_watched(
+    finished, recording_folder, tmp_path, browser, free_port, capsys
+):
+    pages = []
+
+    def watch():
+        pages.append(OpenPage(browser, free_port))
+        pages[0].wait_for_text("Frame 1 of")
+
+    def look_away():
+        # The page and its images have come, and its server has no errors to tell.
+        pages[0].wait_for_text("Gaussians")
+        assert pages[0].errors == []
+        pages[0].close()
+
+    def frames(recording, *, first):
+        for index, frame in prefetch(recording, first=first):
+            for number, action in ((1, watch), (NUM_FRAMES - 1, look_away)):
+                if index == number:
+                    action()
+            yield index, frame
+
+    out, port = tmp_path / "again", ["--view-port", str(free_port)]
+    config = ["--config", str(finished / "config.json")]
+    assert run(recording_folder, out, *config, "--no-evaluate", "--view", *port, frames=frames) == 0
+    assert f"http://127.0.0.1:{free_port}" in capsys.readouterr().out
     for name in ("trajectory.txt", "keyframes.txt", "map.ply"):
         assert (out / name).read_bytes() == (finished / name).read_bytes(), name
 

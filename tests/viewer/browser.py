@@ -67,10 +67,12 @@ class OpenPage:
     def __init__(self, browser: Browser, port: int, *, width: int = 900, height: int = 500) -> None:
         self.errors: list[str] = []
         self.page: Page = browser.new_page(viewport={"width": width, "height": height})
+        self.page.set_default_timeout(60_000)
         self.page.on("console", self._listen)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.page.goto(f"http://127.0.0.1:{port}")
-        self.page.get_by_text("Connected").first.wait_for()
+        with self.page.expect_console_message(lambda message: message.text.startswith("Connected!")):
+            self.page.goto(f"http://127.0.0.1:{port}")
+        self.page.locator("canvas").first.wait_for()
 
     def close(self) -> None:
         """Close the page."""
@@ -80,7 +82,7 @@ class OpenPage:
         """Press the button with this text."""
         self.page.get_by_role("button", name=button, exact=True).click()
 
-    def wait_for_text(self, text: str, *, timeout_s: float = 20) -> None:
+    def wait_for_text(self, text: str, *, timeout_s: float = 60) -> None:
         """Wait until the page shows a text.
 
         Args:
@@ -88,6 +90,24 @@ class OpenPage:
             timeout_s: seconds after which Playwright raises its TimeoutError.
         """
         self.page.get_by_text(text).first.wait_for(timeout=1000 * timeout_s)
+
+    def tick(self, box: str, *, on: bool) -> None:
+        """Set the checkbox with this label.
+
+        Args:
+            box: its label.
+            on: whether it is to be ticked.
+        """
+        self.page.get_by_label(box, exact=True).set_checked(on, force=True)
+
+    def canvas(self) -> Float[np.ndarray, "H W 3"]:
+        """The scene without what lies over it, RGB in [0, 1]."""
+        # A notice tells that WebGL runs in software.
+        self.page.add_style_tag(content='[class*="Notification"] { display: none !important; }')
+        box = self.page.locator("canvas").first.bounding_box()
+        assert box is not None
+        x, y, width, height = (round(box[name]) for name in ("x", "y", "width", "height"))
+        return self.screenshot()[y : y + height, x : x + width]
 
     def screenshot(self, path: Path | str | None = None) -> Float[np.ndarray, "H W 3"]:
         """The window, RGB in [0, 1].

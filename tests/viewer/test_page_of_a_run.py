@@ -98,7 +98,7 @@ def test_dragging_a_slider_sends_the_map_once(page, scene, received):
 
 
 def test_a_click_on_a_keyframe_takes_the_view_there(page, scene, received):
-    place = np.asarray(scene.frusta[1].position) + [0, 0, 0.8 * scene.frusta[1].scale]
+    place = np.asarray(scene.frusta[1].position) + np.asarray([0, 0, 0.8 * scene.frusta[1].scale])
     wait_until(lambda: len(scene.server.get_clients()) == 1)
     (client,) = scene.server.get_clients().values()
     page.page.mouse.move(*pixel_of(scene, place))

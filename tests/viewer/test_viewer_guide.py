@@ -15,7 +15,7 @@ from sfgs_jax.geometry import Trajectory, format_tum
 from sfgs_jax.splatting import Gaussians, load_spz, save_ply
 from sfgs_jax.viewer import MapScene
 
-GUIDE = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text()
+GUIDE = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text().split("\n## Live\n")[0]
 FOLDER_EXAMPLE, MEMORY_EXAMPLE = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
 
 

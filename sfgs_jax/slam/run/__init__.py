@@ -1,8 +1,10 @@
 """A run over a recording: driver, storage, outputs, stopwatch, warm-up."""
 
+from sfgs_jax.slam.run._driver import Observer as Observer
 from sfgs_jax.slam.run._driver import Progress as Progress
 from sfgs_jax.slam.run._driver import Run as Run
 from sfgs_jax.slam.run._driver import TooManySkipped as TooManySkipped
+from sfgs_jax.slam.run._driver import combined as combined
 from sfgs_jax.slam.run._driver import load_run as load_run
 from sfgs_jax.slam.run._driver import run as run
 from sfgs_jax.slam.run._driver import save_run as save_run

@@ -43,6 +43,7 @@ class Progress:
         skipped: the frame's error, if it could not be decoded.
         info: what the step did, if there was one.
         run: the run so far.
+        frame: the newest frame, if it could be decoded; none after a final step.
     """
 
     stage: str
@@ -51,6 +52,25 @@ class Progress:
     skipped: FrameError | None
     info: StepInfo | None
     run: "Run"
+    frame: Frame | None = None
+
+
+Observer = Callable[[Progress], None]
+"""Follows a run, called in its thread. A KeyboardInterrupt that an observer raises ends the run early."""
+
+
+def combined(*observers: Observer) -> Observer:
+    """One observer out of several, called in this order.
+
+    Args:
+        observers: to be called.
+    """
+
+    def observe(progress: Progress) -> None:
+        for observer in observers:
+            observer(progress)
+
+    return observe
 
 
 @dataclass
@@ -168,7 +188,7 @@ def run(
     camera: Camera,
     config: SlamConfig,
     *,
-    observer: Callable[[Progress], None] = _ignore,
+    observer: Observer = _ignore,
     storage: Path | None = None,
     resumed: Run | None = None,
     realtime: bool = False,
@@ -182,7 +202,7 @@ def run(
         frames: numbers and frames, or the error of a frame that could not be decoded.
         camera: intrinsics of the frames.
         config: settings.
-        observer: called after every frame and final step.
+        observer: called after every frame and final step; `combined` makes one of several.
         storage: folder for the images of old keyframes and views; without one they stay in memory.
         resumed: a run to go on with; `frames` begin where it stopped.
         realtime: map in a thread of its own, in the time that tracking leaves. Otherwise each frame and each
@@ -208,8 +228,9 @@ def run(
         for number, frame in worker.frames(frames):
             found = _advance(result, number, frame, worker, storage)
             info, skipped = (None, found) if isinstance(found, FrameError) else (found, None)
+            image = None if isinstance(frame, FrameError) else frame
             gaussians = result.state.mapping.num_gaussians
-            observer(Progress("frames", result.num_frames, gaussians, skipped, info, result))
+            observer(Progress("frames", result.num_frames, gaussians, skipped, info, result, image))
             _check_skipped(result)
         with result.stopwatch("graph"):
             result.state = finish(result.state)
@@ -269,7 +290,7 @@ def _end_mapping(run: Run, worker: MapWorker) -> None:
     run.state = replace(run.state, mapping=mapping)
 
 
-def _refine(run: Run, observer: Callable[[Progress], None]) -> None:
+def _refine(run: Run, observer: Observer) -> None:
     state, config = run.state, run.config
     if not state.mapping.views:
         return

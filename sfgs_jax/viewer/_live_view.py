@@ -1,0 +1,181 @@
+"""A run in progress in the browser: an observer that hands its newest state to a thread of its own."""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+
+from sfgs_jax.geometry import Frame, Trajectory
+from sfgs_jax.slam import Progress, Run
+from sfgs_jax.viewer._live_display import LiveDisplay, Snapshot
+from sfgs_jax.viewer._live_page import LivePage
+from sfgs_jax.viewer._live_plots import History
+from sfgs_jax.viewer._live_scene import LiveScene
+from sfgs_jax.viewer._run_control import RunControl
+from sfgs_jax.viewer._server import start_server
+
+_log = logging.getLogger(__name__)
+
+_TICK_S = 0.2
+"""Seconds between two looks for news. The camera and the headline move with each."""
+
+_REST = 8.0
+"""Rest after an update, as a multiple of its time: it takes processors from the tracker. The shortest of the
+last three updates counts, because one that compiled says nothing about the next."""
+
+
+class LiveView:
+    """Shows a run in the browser while it goes on; an observer of `slam.run`.
+
+    A thread sends the newest state to the browsers every few seconds, and nothing while none is connected.
+    An error there is logged once, and the run goes on. Results don't depend on the view, to the bit.
+
+    The attribute `server` is viser's, and `control` pauses, steps and stops the run.
+
+    Args:
+        num_frames: frames of the recording, if that is known.
+        ground_truth: true path, drawn beside the estimate and compared with it; the run does not see it.
+        save: writes the results so far when the page's button asks for it, in the run's thread.
+        name: title of the page.
+        port: port to listen on; the next free one is taken if it is in use.
+        host: address to listen on; "0.0.0.0" lets other machines look and stop the run, without password.
+        interval_s: least time between two updates of the map, seconds.
+        max_gaussians: Gaussians that are drawn while the run goes on, those that cover most. All are drawn at
+            its end.
+    """
+
+    def __init__(
+        self,
+        *,
+        num_frames: int | None = None,
+        ground_truth: Trajectory | None = None,
+        save: Callable[[Run], None] | None = None,
+        name: str = "sfgs-jax",
+        port: int = 8080,
+        host: str = "127.0.0.1",
+        interval_s: float = 2.0,
+        max_gaussians: int = 100_000,
+    ) -> None:
+        self._save, self._interval_s = save, interval_s
+        self.server = start_server(host, port, name)
+        self.control = RunControl(self._write)
+        scene, self._history = LiveScene(self.server), History()
+        self._page = LivePage(
+            self.server,
+            scene,
+            self.control,
+            name=name,
+            with_truth=ground_truth is not None,
+            with_saving=save is not None,
+        )
+        self._display = LiveDisplay(
+            self.server,
+            scene,
+            self._page,
+            self._history,
+            truth=ground_truth,
+            num_frames=num_frames,
+            max_gaussians=max_gaussians,
+        )
+        self._newest: Snapshot | None = None
+        self._frame: Frame | None = None
+        self._complained = False
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """Address to open in a browser."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def __call__(self, progress: Progress) -> None:
+        """Take note of a frame or of a final map step; wait here while the run is paused.
+
+        Raises:
+            KeyboardInterrupt: the page's button asked the run to stop.
+        """
+        self._history.add(progress)
+        if progress.frame is not None:
+            self._frame = progress.frame
+        tracked = progress.info is None or progress.info.tracked
+        self._newest = Snapshot(
+            progress.stage, progress.done, progress.run.state, self._frame, tracked, self.control.paused
+        )
+        self.control.pass_through(progress.run)
+
+    def finish(self, run: Run, message: str = "") -> None:
+        """Show the results of a run that has ended, and say so on the page.
+
+        Args:
+            run: the run.
+            message: more words for the page, for instance the folder of the results.
+        """
+        tracked = f"{len(run.state.log.timestamps)} of {run.num_frames} frames tracked"
+        headline = f"The run has {'been stopped' if run.interrupted else 'ended'}: {tracked}"
+        stage = "refinement" if run.num_refined else "frames"
+        done = run.num_refined or run.num_frames
+        self._newest = Snapshot(stage, done, run.state, self._frame, True, True, ending=headline)
+        if message:
+            self._page.note(message)
+
+    def wait_for_browsers(self) -> None:
+        """Return when the last update has been sent and no browser looks at the page."""
+        while self.server.get_clients():
+            time.sleep(_TICK_S)
+
+    def close(self) -> None:
+        """End the thread and the server."""
+        self._closed.set()
+        self._thread.join()
+        self.server.stop()
+
+    def __enter__(self) -> "LiveView":
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close it; if an error ended the run, the page says so."""
+        if isinstance(error, Exception):
+            self._page.end("The run has failed")
+            self.server.flush()
+        self.close()
+
+    def _write(self, run: Run) -> None:
+        if self._save is None:
+            return
+        try:
+            self._save(run)
+        except Exception as error:
+            _log.warning("the results so far could not be written: %s", error)
+            self._page.note(f"The results could not be written: {error}")
+        else:
+            self._page.note(f"Saved after {run.num_frames} frames.")
+
+    def _work(self) -> None:
+        moved = shown = None
+        due, took = 0.0, deque([0.0], maxlen=3)
+        while not self._closed.wait(_TICK_S):
+            newest = self._newest
+            if newest is None or newest is shown or not self.server.get_clients():
+                continue
+            try:
+                if newest is not moved:
+                    moved = newest
+                    self._display.move(newest)
+                if newest.urgent or time.monotonic() >= due:
+                    shown, start = newest, time.monotonic()
+                    self._display.show(newest)
+                    took.append(time.monotonic() - start)
+                    due = time.monotonic() + max(self._interval_s, _REST * min(took))
+            except Exception:
+                if not self._complained:
+                    _log.exception("The live view has failed. The run goes on, and this is not said again.")
+                self._complained = True
