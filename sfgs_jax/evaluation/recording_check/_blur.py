@@ -44,7 +44,7 @@ def check_blur(sample: RecordingSample) -> Finding:
     effects = np.array([blur_effect(frame.grey) for frame in sample.frames[::2]])
     share, median = float(np.mean(effects > _BLURRED)), float(np.median(effects))
     evidence = {"median blur effect": median, "blurred share": share}
-    text = f"Blur {median:.2f} on a scale from 0 to 1; {100 * share:.0f} % of the images are over {_BLURRED:g}"
+    text = f"Blur {median:.2f} of 1; {100 * share:.0f} % of the images are over {_BLURRED:g}"
     if share <= _MOST_BLURRED:
         return Finding("blur", "good", text + ".", evidence=evidence)
     return Finding(

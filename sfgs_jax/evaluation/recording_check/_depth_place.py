@@ -23,8 +23,10 @@ _SIGMAS = 3.0
 Points = Float[np.ndarray, "n 2"] | Int[np.ndarray, "n 2"]
 Transform = Callable[[Points], Points]
 
+AS_IT_IS = "as it is"
+
 LAYOUTS: dict[str, Transform] = {
-    "as it is": lambda p: p,
+    AS_IT_IS: lambda p: p,
     "mirrored left to right": lambda p: np.c_[1 - p[:, 0], p[:, 1]],
     "mirrored top to bottom": lambda p: np.c_[p[:, 0], 1 - p[:, 1]],
     "turned by 180 degrees": lambda p: 1 - p,
@@ -34,6 +36,23 @@ LAYOUTS: dict[str, Transform] = {
     "transposed on the other diagonal": lambda p: 1 - p[:, ::-1],
 }
 """For depth with a fault, how its pixels (u, v), from 0 to 1, get to where they belong."""
+
+
+def placed(depth: Float[np.ndarray, "h w"], layout: str) -> Float[np.ndarray, "h w"]:
+    """Depth with its pixels where they belong.
+
+    Args:
+        depth: with the fault.
+        layout: one of `LAYOUTS`.
+    """
+    if layout == AS_IT_IS:
+        return depth
+    size = np.array(depth.shape[::-1]) - 1
+    rows, columns = np.indices(depth.shape)
+    target = np.rint(LAYOUTS[layout](np.c_[columns.ravel(), rows.ravel()] / size) * size).astype(np.int32)
+    image = np.zeros_like(depth)
+    image[target[:, 1], target[:, 0]] = depth.ravel()
+    return image
 
 
 @dataclass(frozen=True)
@@ -50,6 +69,11 @@ class DepthPlace:
     lag: int
     findings: tuple[Finding, ...]
 
+    @property
+    def in_place(self) -> bool:
+        """Whether nothing was found wrong."""
+        return all(finding.severity != "warning" for finding in self.findings)
+
 
 def check_depth_place(sample: RecordingSample) -> DepthPlace:
     """Find layout, lag and registration of depth.
@@ -57,9 +81,9 @@ def check_depth_place(sample: RecordingSample) -> DepthPlace:
     Args:
         sample: of the recording.
     """
-    plain = _by_lag(sample, "as it is")
+    plain = _by_lag(sample, AS_IT_IS)
     # A layout can only be found wrong where the given one fits at no time.
-    layout = "as it is"
+    layout = AS_IT_IS
     tables = {layout: plain}
     if not plain.clear:
         tables |= {name: _by_lag(sample, name) for name in LAYOUTS if name != layout}
@@ -165,12 +189,12 @@ def _layout_finding(layout: str, tables: dict[str, _LagTable]) -> Finding:
     table = tables[layout]
     evidence = {f"agreement {name}": found.peak for name, found in tables.items()}
     evidence["share of frames with outlines"] = table.outlined
-    if layout != "as it is":
+    if layout != AS_IT_IS:
         return Finding(
             "depth layout",
             "warning",
             f"Depth is {layout} against colour: outlines agree with colour edges {table.peak:.2f} so, and "
-            f"{tables['as it is'].peak:.2f} as the images are.",
+            f"{tables[AS_IT_IS].peak:.2f} as the images are.",
             "Turn or mirror the depth images like the colour images when you save them.",
             evidence,
         )
@@ -203,13 +227,13 @@ def _lag_finding(table: _LagTable) -> Finding:
     sigma = float(np.std(table.against)) / np.sqrt(max(1.0, count / 4)) if count else np.inf
     gain = float(np.mean(table.against)) if count else 0.0
     if lag and abs(table.refined_lag) > 0.7 and table.now < 0.8 * table.peak and gain > _SIGMAS * sigma:
-        word = "late" if lag > 0 else "early"
+        word, places = ("late", "after") if lag > 0 else ("early", "before")
+        frames = "1 frame" if abs(lag) == 1 else f"{abs(lag)} frames"
         return Finding(
             "synchronisation",
             "warning",
-            f"Depth comes {abs(lag)} frame{'s' if abs(lag) > 1 else ''} {word} against colour; 0 is expected.",
-            f"Pair each colour image with the depth image {abs(lag)} places {'after' if lag > 0 else 'before'} "
-            "its own.",
+            f"Depth comes {frames} {word} against colour; 0 is expected.",
+            f"Pair each colour image with the depth image {frames} {places} its own.",
             evidence,
         )
     message = f"Depth and colour are of one time to a frame ({table.refined_lag:+.1f} frames)."
@@ -217,25 +241,22 @@ def _lag_finding(table: _LagTable) -> Finding:
 
 
 def _registration_finding(sample: RecordingSample, layout: str, lag: int, table: _LagTable) -> Finding:
-    if not table.clear or layout != "as it is" or lag:
-        message = "Whether depth is registered to colour can't be told before the faults above are corrected."
-        if not table.clear:
-            message = "It can't be told whether depth is registered to colour: the scene has too few outlines."
+    if not table.clear or layout != AS_IT_IS or lag:
+        reason = "correct the faults named first" if table.clear else "the scene has too few outlines"
+        message = f"It can't be told whether depth is registered to colour: {reason}."
         return Finding("registration", "unknown", message)
     best, zoom, shift, plain = _best_placement(sample)
-    pixels = shift / sample.pixel
     moved = float(np.hypot(*shift) + abs(zoom - 1) * np.hypot(*sample.shape) / 2) / sample.pixel
     evidence = {"zoom": zoom, "right px": float(shift[0]), "down px": float(shift[1]), "gain": best / plain}
     if best > 1.5 * plain and best > plain + _CLEAR and moved > 8:
         return Finding(
             "registration",
             "warning",
-            f"Depth lies beside its colour: {zoom:.3g} times as large, {shift[0]:.0f} pixels to the right and "
-            f"{shift[1]:.0f} down, it would fit {best / plain:.1f} times as well.",
+            f"Depth lies beside its colour: {zoom:.3g} times as large, {shift[0]:.0f} pixels to the right "
+            f"and {shift[1]:.0f} down, it would fit {best / plain:.1f} times as well.",
             "Register depth to the colour camera when recording; resizing alone does not do it.",
             evidence,
         )
-    del pixels
     return Finding("registration", "good", "Depth lies on its colour to a few pixels.", evidence=evidence)
 
 

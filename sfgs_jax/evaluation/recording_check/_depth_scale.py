@@ -8,17 +8,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from sfgs_jax.evaluation.recording_check._finding import Finding
-from sfgs_jax.evaluation.recording_check._frame_pairs import FramePair, Motion
+from sfgs_jax.evaluation.recording_check._frame_pairs import PairMotion
+from sfgs_jax.evaluation.recording_check._pose_motions import PoseScale
 from sfgs_jax.evaluation.recording_check._sample import RecordingSample
 
 KNOWN_FACTORS = (1.3107, 2.0, 4.0, 5.0, 6.5535, 10.0, 25.4, 100.0, 1000.0, 5000.0)
-"""Ratios of the units that depth is stored in: 1, 100, 1000, 4000, 5000, 6553.5, 10000 per metre, and inches."""
+"""Ratios of common units: 1, 100, 1000, 4000, 5000, 6553.5 and 10000 per metre, and inches."""
 
 _TOLERATED = 1.2
 """Factor that a scale from poses may be off: noise of depth and poses."""
+_TOLERATED_OUT_OF_PLACE = 2.5
 _STRUCTURED_LIGHT = 2.9e-3
 """Step of depth at 1 m of sensors like the first Kinect, in metres."""
 _ODDS = 3.0
@@ -69,20 +70,20 @@ class Habits:
 
 
 def check_scale_by_poses(
-    ratio: float, spread: float, count: int, units: float | None, median_depth: float
+    scale: PoseScale, units: float | None, median_depth: float, *, in_place: bool
 ) -> Finding:
     """Is depth in the unit of the given poses?
 
     Args:
-        ratio: motion by depth, in motions by the poses.
-        spread: its relative standard error.
-        count: motions that were compared.
+        scale: of depth in the unit of the poses.
         units: depth image units per metre that the reader took; None if not known.
         median_depth: metres, by these units.
+        in_place: whether depth lies on its colour; if not, only a large factor says something.
     """
-    evidence = {"depth per pose": ratio, "relative error": spread, "motions": count}
+    ratio, spread = scale.ratio, scale.relative_error
+    evidence = {"depth per pose": ratio, "relative error": spread, "motions": scale.count}
     off = max(ratio, 1 / ratio)
-    if off < _TOLERATED:
+    if off < max(_TOLERATED if in_place else _TOLERATED_OUT_OF_PLACE, np.exp(2.5 * spread)):
         message = f"Motion by depth is {ratio:.2f} times the motion of the poses; 1 is expected."
         return Finding("depth scale", "good", message, evidence=evidence)
     factor = snapped(ratio)
@@ -96,22 +97,22 @@ def check_scale_by_poses(
 
 
 def check_scale_by_habit(
-    sample: RecordingSample, pairs: Sequence[FramePair], motions: Sequence[Motion], units: float | None
+    sample: RecordingSample, motions: Sequence[PairMotion], units: float | None
 ) -> Finding:
     """Without poses: is a common other unit of depth far more likely?
 
     Args:
         sample: of the recording.
-        pairs: of the sample.
-        motions: theirs.
+        motions: of pairs of its frames.
         units: as in `check_scale_by_poses`.
     """
     if not len(sample.depths):
         return Finding("depth scale", "unknown", "There is no depth.")
-    habits = _habits(sample, pairs, motions)
+    habits = _habits(sample, motions)
     factors = [f for known in KNOWN_FACTORS for f in (known, 1 / known)]
-    best = max(factors, key=lambda f: habits.scaled(f).log_likelihood)
-    odds = habits.scaled(best).log_likelihood - habits.log_likelihood
+    odds_of = {f: _odds(habits, f) for f in factors}
+    best = max(odds_of, key=lambda f: odds_of[f])
+    odds = odds_of[best]
     evidence = {
         "median depth m": habits.median,
         "nearest depth m": habits.near,
@@ -133,9 +134,7 @@ def check_scale_by_habit(
         usual += f" and {better.speed:.2g} m/s"
     if habits.step is not None:
         usual += f", a Kinect steps of {1000 * _STRUCTURED_LIGHT:.2g} mm"
-    return Finding(
-        "depth scale", "warning", f"{text}; {usual}.", _advice(1 / best, units), evidence
-    )
+    return Finding("depth scale", "warning", f"{text}; {usual}.", _advice(1 / best, units), evidence)
 
 
 def snapped(ratio: float) -> float:
@@ -165,19 +164,24 @@ def step_constant(sample: RecordingSample) -> float | None:
     used = (places > low) & (places < high)
     if used.sum() < 25 or high < 1.5 * low:
         return None
-    slope, constant = np.polyfit(np.log(places[used]), np.log(steps[used]), 1)
-    del constant
+    slope = np.polyfit(np.log(places[used]), np.log(steps[used]), 1)[0]
     ratios = steps[used] / places[used] ** 2
     first, median, third = np.quantile(ratios, [0.25, 0.5, 0.75])
     return float(median) if third - first < 0.2 * median and abs(slope - 2) < 0.4 else None
 
 
-def _habits(sample: RecordingSample, pairs: Sequence[FramePair], motions: Sequence[Motion]) -> Habits:
+def _odds(habits: Habits, factor: float) -> float:
+    """Natural logarithm of the odds that depth should be multiplied; 5 and 1000 are the usual mistakes."""
+    usual = any(abs(np.log(f / factor)) < 1e-6 for known in (5.0, 1000.0) for f in (known, 1 / known))
+    return habits.scaled(factor).log_likelihood - habits.log_likelihood - (0.0 if usual else 1.0)
+
+
+def _habits(sample: RecordingSample, motions: Sequence[PairMotion]) -> Habits:
     near, median, far = (float(np.quantile(sample.depths, q)) for q in (0.02, 0.5, 0.95))
     speeds = [
         float(np.linalg.norm(motion.T_second_first[:3, 3]))
         / max(pair.second.timestamp - pair.first.timestamp, 1e-6)
-        for pair, motion in zip(pairs, motions, strict=True)
+        for pair, motion in motions
         if motion.share > 0.5
     ]
     speed = float(np.median(speeds)) if len(speeds) >= 4 else None

@@ -1,5 +1,7 @@
 """Are the images bright enough, and of one brightness?"""
 
+import itertools
+
 import numpy as np
 
 from sfgs_jax.evaluation.recording_check._finding import Finding
@@ -33,7 +35,11 @@ def check_exposure(sample: RecordingSample) -> Finding:
         "jumps of brightness share": jumps,
     }
     for share, what, advice in (
-        (too_dark, "are almost black", "Expose longer or add light; a longer exposure asks for slower motion."),
+        (
+            too_dark,
+            "are almost black",
+            "Add light, or expose longer and move more slowly.",
+        ),
         (too_bright, "are saturated in large parts", "Expose less, or lock the exposure on the room."),
     ):
         if share > 0.25:
@@ -43,8 +49,8 @@ def check_exposure(sample: RecordingSample) -> Finding:
         return Finding(
             "exposure",
             "warning",
-            f"Brightness jumps by more than {100 * (_LARGEST_CHANGE - 1):.0f} % between {100 * jumps:.0f} % of "
-            "the frames and the next; under 20 % is expected.",
+            f"Brightness jumps by more than {100 * (_LARGEST_CHANGE - 1):.0f} % after {100 * jumps:.0f} % of "
+            "the frames; under 20 % is expected.",
             "Lock exposure and gain while recording, and avoid lamps that flicker.",
             evidence,
         )
@@ -57,6 +63,6 @@ def _changes(sample: RecordingSample) -> np.ndarray:
     ratios = [
         (np.median(after.grey) + 4.0) / (np.median(before.grey) + 4.0)
         for window in sample.windows
-        for before, after in zip(window[:-1], window[1:], strict=True)
+        for before, after in itertools.pairwise(window)
     ]
     return np.maximum(ratios, 1 / np.asarray(ratios))

@@ -28,6 +28,7 @@ class FramePair:
         second: a later key frame.
         pixels_first: (u, v) of matched keypoints.
         pixels_second: the same in the other image.
+        depth: of the first frame.
         shift: median distance between them, pixels.
     """
 
@@ -35,6 +36,7 @@ class FramePair:
     second: SampledFrame
     pixels_first: Float[np.ndarray, "n 2"]
     pixels_second: Float[np.ndarray, "n 2"]
+    depth: Float[np.ndarray, "h w"]
     shift: float
 
 
@@ -60,6 +62,9 @@ class Motion:
         return float(self.inliers.mean())
 
 
+PairMotion = tuple[FramePair, Motion]
+
+
 def frame_pairs(sample: RecordingSample) -> list[FramePair]:
     """The best pairs of key frames of each window: many matches, and enough motion between them.
 
@@ -68,11 +73,11 @@ def frame_pairs(sample: RecordingSample) -> list[FramePair]:
     """
     pairs = []
     for window in sample.windows:
-        keys = [frame for frame in window if frame.depth is not None]
-        found = [_keypoints(frame) for frame in keys]
+        keys = [(frame, frame.depth) for frame in window if frame.depth is not None]
+        found = [_keypoints(frame) for frame, _ in keys]
         candidates = []
         for a, b in itertools.combinations(range(len(keys)), 2):
-            pair = _pair(keys[a], keys[b], found[a], found[b], sample)
+            pair = _pair(keys[a], keys[b][0], found[a], found[b], sample)
             if pair is not None and pair.shift >= _LEAST_SHIFT * sample.shape[1]:
                 candidates.append(pair)
         # The square root of the shift weighs a long baseline against matches that get fewer with it.
@@ -110,7 +115,7 @@ def motion_of(pair: FramePair, depth: Float[np.ndarray, "h w"], sample: Recordin
         return None
     if not ok or inliers is None or len(inliers) < 6:
         return None
-    rows = inliers.ravel()
+    rows = np.asarray(inliers, np.int64).ravel()
     rotation, translation = cv2.solvePnPRefineLM(
         points[rows], pixels[rows], sample.matrix, None, rotation, translation
     )
@@ -146,7 +151,7 @@ def _keypoints(frame: SampledFrame) -> tuple[Float[np.ndarray, "n 2"], Float[np.
 
 
 def _pair(
-    first: SampledFrame,
+    first: tuple[SampledFrame, Float[np.ndarray, "h w"]],
     second: SampledFrame,
     found_first: tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 128"]],
     found_second: tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 128"]],
@@ -166,7 +171,7 @@ def _pair(
         return None
     kept = mask.ravel() > 0
     a, b = a[kept], b[kept]
-    return FramePair(first, second, a, b, float(np.median(np.linalg.norm(a - b, axis=1))))
+    return FramePair(first[0], second, a, b, first[1], float(np.median(np.linalg.norm(a - b, axis=1))))
 
 
 def _matches(a: Float[np.ndarray, "n 128"], b: Float[np.ndarray, "m 128"]) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Can the frames be read, in the order of their time stamps, and near enough to each other?"""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -80,8 +81,9 @@ def check_repeats(sample: RecordingSample) -> Finding:
     repeated = {"colour": 0, "depth": 0}
     total = 0
     for window in sample.windows:
-        for before, after in zip(window[:-1], window[1:], strict=True):
-            colour, depth = (np.array_equal(before.grey, after.grey), before.depth_digest == after.depth_digest)
+        for before, after in itertools.pairwise(window):
+            colour = np.array_equal(before.grey, after.grey)
+            depth = before.depth_digest == after.depth_digest
             repeated["colour"] += colour and not depth
             repeated["depth"] += depth and not colour
             total += 1

@@ -1,6 +1,7 @@
 """Are focal length and principal point those of the images, and is the lens straight?"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,10 +25,21 @@ _SIGMAS = 5.0
 _FEWEST = 6
 
 
-def check_intrinsics(
-    sample: RecordingSample, motions: Sequence[Motion]
-) -> tuple[Finding, Finding]:
-    """Findings on intrinsics and on lens distortion.
+@dataclass(frozen=True)
+class IntrinsicsCheck:
+    """What was found about the lens.
+
+    Attributes:
+        findings: on intrinsics, and on distortion.
+        focal_factor: on the focal lengths, if they are wrong; else 1.
+    """
+
+    findings: tuple[Finding, Finding]
+    focal_factor: float
+
+
+def check_intrinsics(sample: RecordingSample, motions: Sequence[Motion]) -> IntrinsicsCheck:
+    """Check intrinsics and lens distortion.
 
     Args:
         sample: of the recording.
@@ -39,13 +51,13 @@ def check_intrinsics(
     unequal = max(fx / fy, fy / fx)
     off = max(abs(cx / (camera.width - 1) - 0.5), abs(cy / (camera.height - 1) - 0.5))
     evidence = {"fx": float(fx), "fy": float(fy), "cx": float(cx), "cy": float(cy), "view degrees": view}
-    odd = []
+    odd, factor = [], 1.0
     if not _VIEWS[0] < view < _VIEWS[1]:
         odd.append(f"the view is {view:.0f} degrees wide, {_VIEWS[0]:.0f} to {_VIEWS[1]:.0f} are expected")
     if unequal > _MOST_UNEQUAL:
         odd.append(f"fx and fy differ by {100 * (unequal - 1):.0f} %, under 15 % is expected")
     if off > _MOST_OFF_CENTRE:
-        odd.append(f"the principal point is {100 * off:.0f} % of the image off its centre, under 15 % is expected")
+        odd.append(f"the principal point is {100 * off:.0f} % off the centre, under 15 % is expected")
     advice = (
         "Take the intrinsics of the colour camera at this image size; if images were resized, scale all four "
         "numbers alike."
@@ -57,7 +69,8 @@ def check_intrinsics(
         evidence |= {"focal factor": fit.focal, "focal sigma": fit.focal_sigma}
         distance = abs(np.log(fit.focal))
         if distance > max(_FOCAL_TOLERANCE, _SIGMAS * fit.focal_sigma):
-            odd.append(f"the focal length is {fx:.0f} pixels, but motion and depth ask for {fx * fit.focal:.0f}")
+            odd.append(f"the focal length is {fx:.0f} pixels, but motion asks for {fx * fit.focal:.0f}")
+            factor = fit.focal
     if odd:
         message = _sentence(odd)
         first = Finding("intrinsics", "warning", message, advice, evidence)
@@ -65,23 +78,24 @@ def check_intrinsics(
         message = f"Motion and depth ask for a focal length of {fx * fit.focal:.0f} pixels; it is {fx:.0f}."
         first = Finding("intrinsics", "good", message, evidence=evidence)
     else:
-        message = "They look usual, but it can't be told whether the focal length is right: too little turning."
+        message = "It can't be told whether the focal length is right: too little turning."
         first = Finding("intrinsics", "unknown", message, evidence=evidence)
     if fit is None or not known:
         message = "It can't be told whether the lens bends the image: too little motion."
-        return first, Finding("distortion", "unknown", message)
-    return first, _distortion(fit.corner_shift / sample.pixel, fit.radial, fit.radial_sigma)
+        return IntrinsicsCheck((first, Finding("distortion", "unknown", message)), factor)
+    bend = _distortion(fit.corner_shift / sample.pixel, fit.radial, fit.radial_sigma)
+    return IntrinsicsCheck((first, bend), factor)
 
 
 def _distortion(corner: float, radial: float, sigma: float) -> Finding:
     evidence = {"k1": radial, "k1 sigma": sigma, "corner px of 640": corner}
     if abs(corner) < _BEND or abs(radial) < _SIGMAS * sigma:
-        message = f"The lens moves corners by {abs(corner):.0f} pixels (in a width of 640)."
+        message = f"The lens moves corners by {abs(corner):.0f} pixels of 640."
         return Finding("distortion", "good", message, evidence=evidence)
     return Finding(
         "distortion",
         "warning",
-        f"The lens moves corners by {abs(corner):.0f} pixels (in a width of 640), under {_BEND:.0f} are expected.",
+        f"The lens moves corners by {abs(corner):.0f} pixels of 640, under {_BEND:.0f} are expected.",
         f"Give the lens's coefficients as `distortion` in camera.json; k1 is near {radial:.2f}.",
         evidence,
     )

@@ -48,14 +48,14 @@ def fit_lens(motions: Sequence[Motion], sample: RecordingSample) -> LensFit | No
     """
     data = [_Pair(motion, sample) for motion in motions]
     lens = np.zeros(2)
-    normal, scale = np.eye(2), 1.0
+    normal, variance = np.eye(2), 0.0
     for _ in range(_ITERATIONS):
         reduced, gradient, errors = np.zeros((2, 2)), np.zeros(2), []
         eliminated = []
         for pair in data:
             residual = pair.residual(lens)
             jacobian = pair.jacobian(lens, residual)
-            weight = 1 / (1 + np.sum(residual**2, axis=1) / (scale * sample.pixel) ** 2)
+            weight = 1 / (1 + np.sum(residual**2, axis=1) / sample.pixel**2)
             root = np.sqrt(weight)[:, None]
             r, J = (root * residual).ravel(), (root[..., None] * jacobian).reshape(-1, 8)
             H, g = J.T @ J, J.T @ r
@@ -116,12 +116,8 @@ class _Pair:
         self, lens: Float[np.ndarray, " 2"], residual: Float[np.ndarray, "n 2"]
     ) -> Float[np.ndarray, "n 2 8"]:
         """Derivatives by motion and lens, by finite differences."""
-        columns = [
-            (self.residual(lens, 1e-6 * np.eye(6)[i]) - residual) / 1e-6 for i in range(6)
-        ]
-        columns += [
-            (self.residual(lens + _STEPS[i] * np.eye(2)[i]) - residual) / _STEPS[i] for i in range(2)
-        ]
+        columns = [(self.residual(lens, 1e-6 * np.eye(6)[i]) - residual) / 1e-6 for i in range(6)]
+        columns += [(self.residual(lens + _STEPS[i] * np.eye(2)[i]) - residual) / _STEPS[i] for i in range(2)]
         return np.stack(columns, axis=-1)
 
     def move(self, twist: Float[np.ndarray, " 6"]) -> None:

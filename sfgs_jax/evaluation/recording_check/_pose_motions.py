@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from sfgs_jax.evaluation.recording_check._frame_pairs import FramePair, Motion
+from sfgs_jax.evaluation.recording_check._frame_pairs import PairMotion
 from sfgs_jax.geometry import Trajectory, rotation_vectors
 
 _LEAST_TURN = np.radians(1.5)
@@ -39,6 +39,21 @@ class Convention:
 
 
 AS_GIVEN = Convention(inverse=False, axes=np.eye(3))
+
+
+@dataclass(frozen=True)
+class PoseScale:
+    """Length of motions by depth in that of the same motions by poses.
+
+    Attributes:
+        ratio: 1 where depth and poses have one unit.
+        relative_error: standard error of the ratio's logarithm.
+        count: motions that were compared.
+    """
+
+    ratio: float
+    relative_error: float
+    count: int
 
 
 @dataclass(frozen=True)
@@ -76,8 +91,12 @@ class PoseMotions:
             parts.append(float(np.median(np.minimum(bend / _LARGEST_BEND, 1))))
         return float(np.mean(parts)) if parts else float("nan")
 
-    def scale(self, convention: Convention) -> tuple[float, float, int] | None:
-        """Length of measured motions in given ones, its relative standard error, and their number."""
+    def scale(self, convention: Convention) -> PoseScale | None:
+        """Length of measured motions in given ones; None if too few have one.
+
+        Args:
+            convention: how to read the poses.
+        """
         given = np.linalg.norm(convention.motions(self.first, self.second)[:, :3, 3], axis=1)
         lengths = np.linalg.norm(self.measured[:, :3, 3], axis=1)
         used = self.moving & (given > 0)
@@ -86,7 +105,7 @@ class PoseMotions:
         logs = np.log(lengths[used] / given[used])
         middle = float(np.median(logs))
         spread = 1.5 * float(np.median(np.abs(logs - middle)))
-        return float(np.exp(middle)), spread / np.sqrt(len(logs) / 2), len(logs)
+        return PoseScale(float(np.exp(middle)), spread / float(np.sqrt(len(logs) / 2)), len(logs))
 
 
 def poses_by_frame(truth: Trajectory, timestamps: Float[np.ndarray, " n"]) -> dict[int, np.ndarray]:
@@ -102,8 +121,7 @@ def poses_by_frame(truth: Trajectory, timestamps: Float[np.ndarray, " n"]) -> di
 
 def pose_motions(
     poses: Mapping[int, np.ndarray],
-    pairs: Sequence[FramePair],
-    motions: Sequence[Motion],
+    motions: Sequence[PairMotion],
     *,
     lag: int = 0,
 ) -> PoseMotions:
@@ -111,12 +129,11 @@ def pose_motions(
 
     Args:
         poses: by numbers of frames.
-        pairs: matched frames.
-        motions: theirs.
+        motions: of matched frames.
         lag: take the poses of frames so many places later.
     """
     first, second, measured, moving = [], [], [], []
-    for pair, motion in zip(pairs, motions, strict=True):
+    for pair, motion in motions:
         a, b = pair.first.index + lag, pair.second.index + lag
         if a in poses and b in poses and motion.share > 0.3:
             first.append(poses[a])
@@ -126,7 +143,10 @@ def pose_motions(
             moving.append(length > _LEAST_MOVE * np.median(motion.points[:, 2]))
     shape = (-1, 4, 4)
     return PoseMotions(
-        np.reshape(first, shape), np.reshape(second, shape), np.reshape(measured, shape), np.array(moving, bool)
+        np.reshape(first, shape),
+        np.reshape(second, shape),
+        np.reshape(measured, shape),
+        np.array(moving, bool),
     )
 
 

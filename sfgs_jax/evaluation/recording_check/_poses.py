@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sfgs_jax.evaluation.recording_check._finding import Finding
-from sfgs_jax.evaluation.recording_check._frame_pairs import FramePair, Motion
+from sfgs_jax.evaluation.recording_check._frame_pairs import PairMotion
 from sfgs_jax.evaluation.recording_check._pose_motions import (
     AS_GIVEN,
     Convention,
-    PoseMotions,
+    PoseScale,
     pose_motions,
     poses_by_frame,
 )
@@ -36,23 +36,19 @@ class PoseCheck:
 
     Attributes:
         finding: on axes and times.
-        scale: length of motions by depth in those by the poses, its relative standard error, and their number;
-            None if it can't be told.
+        scale: of depth in the unit of the poses; None if it can't be told.
     """
 
     finding: Finding
-    scale: tuple[float, float, int] | None = None
+    scale: PoseScale | None = None
 
 
-def check_poses(
-    sample: RecordingSample, pairs: Sequence[FramePair], motions: Sequence[Motion]
-) -> PoseCheck | None:
+def check_poses(sample: RecordingSample, motions: Sequence[PairMotion]) -> PoseCheck | None:
     """Compare motions by keypoints and depth with those of the given poses.
 
     Args:
         sample: of the recording.
-        pairs: of the sample.
-        motions: theirs.
+        motions: of pairs of its frames.
 
     Returns:
         None if the recording has no poses.
@@ -61,7 +57,7 @@ def check_poses(
     if truth is None:
         return None
     poses = poses_by_frame(truth, sample.recording.timestamps)
-    found = pose_motions(poses, pairs, motions)
+    found = pose_motions(poses, motions)
     if len(found.measured) < _FEWEST or not np.isfinite(plain := found.unexplained(AS_GIVEN)):
         message = "It can't be told whether the poses fit: too few frames with a pose show a clear motion."
         return PoseCheck(Finding("poses", "unknown", message))
@@ -74,11 +70,13 @@ def check_poses(
     if cost < min(_GOOD, 0.6 * plain):
         evidence |= {"as corrected": cost, "convention": _text(best)}
         return PoseCheck(_convention_finding(best, plain, cost, evidence), found.scale(best))
-    lags = {lag: pose_motions(poses, pairs, motions, lag=lag) for lag in range(-_FARTHEST, _FARTHEST + 1)}
+    lags = {lag: pose_motions(poses, motions, lag=lag) for lag in range(-_FARTHEST, _FARTHEST + 1)}
     costs = {lag: at.unexplained(AS_GIVEN) for lag, at in lags.items() if len(at.measured) >= _FEWEST}
     lag = min(costs, key=lambda key: np.nan_to_num(costs[key], nan=1.0))
     if lag and costs[lag] < min(_GOOD, 0.6 * plain):
-        return PoseCheck(_lag_finding(lag, evidence | {"as corrected": costs[lag]}), lags[lag].scale(AS_GIVEN))
+        return PoseCheck(
+            _lag_finding(lag, evidence | {"as corrected": costs[lag]}), lags[lag].scale(AS_GIVEN)
+        )
     return PoseCheck(
         Finding(
             "poses",
@@ -128,12 +126,13 @@ def _text(convention: Convention) -> str:
     words = ["world to camera"] if convention.inverse else []
     if not np.array_equal(convention.axes, np.eye(3)):
         places = np.abs(convention.axes).argmax(axis=0)
-        signed = tuple(int(place + 1) * int(convention.axes[place, i]) for i, place in enumerate(places))
+        x, y, z = (int(place + 1) * int(convention.axes[place, i]) for i, place in enumerate(places))
+ signed = (x, y, z)
         words.append(_AXES.get(signed, "in other camera axes: " + _directions(signed)))
     return ", ".join(words) or "as expected"
 
 
-def _directions(signed: tuple[int, ...]) -> str:
+def _directions(signed: tuple[int, int, int]) -> str:
     names = {1: "right", -1: "left", 2: "down", -2: "up", 3: "forward", -3: "backward"}
     return ", ".join(f"{axis} {names[place]}" for axis, place in zip("xyz", signed, strict=True))
 

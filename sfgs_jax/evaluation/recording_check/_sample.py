@@ -1,7 +1,9 @@
 """A sample of a recording: windows of frames that follow each other, spread evenly over it."""
 
+import dataclasses
+import itertools
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -28,7 +30,7 @@ class SampledFrame:
         timestamp: seconds, of colour.
         depth_timestamp: seconds, of depth; None if not known.
         grey: brightness.
-        edges: of `colour_edges`, to two digits of a half.
+        edges: of `colour_edges`, rounded to half precision.
         outlines: of `depth_outlines`.
         seen: pixels that hold an image, not those beyond a lens's field of view.
         coverage: share of these with depth.
@@ -84,11 +86,14 @@ class RecordingSample:
         return np.concatenate([frame.depths for frame in self.frames])
 
 
-def sample_recording(recording: Recording) -> RecordingSample:
+def sample_recording(
+    recording: Recording, progress: Callable[[int, int], object] | None = None
+) -> RecordingSample:
     """Read windows of a recording.
 
     Args:
         recording: at least one frame.
+        progress: called as `progress(done, total)` with numbers of frames.
 
     Raises:
         InputError: none of the frames can be read.
@@ -97,7 +102,9 @@ def sample_recording(recording: Recording) -> RecordingSample:
     height, width = (round(side / factor) for side in recording.camera.shape)
     unreadable: dict[int, str] = {}
     windows = []
-    for indices in _windows(len(recording)):
+    chosen = _windows(len(recording))
+    done, total = 0, sum(map(len, chosen))
+    for indices in chosen:
         keys = {round(place * (len(indices) - 1)) for place in _KEYS}
         window = []
         for place, index in enumerate(indices):
@@ -105,6 +112,9 @@ def sample_recording(recording: Recording) -> RecordingSample:
                 window.append(_sampled(recording, index, (height, width), keep_depth=place in keys))
             except FrameError as error:
                 unreadable[index] = str(error)
+            done += 1
+            if progress is not None:
+                progress(done, total)
         windows.append(window)
     if not any(windows):
         raise InputError(f"No frame of {recording.name} can be read: {next(iter(unreadable.values()))}")
@@ -113,11 +123,21 @@ def sample_recording(recording: Recording) -> RecordingSample:
     )
 
 
+def with_focal_factor(sample: RecordingSample, factor: float) -> RecordingSample:
+    """The sample with other focal lengths.
+
+    Args:
+        sample: of a recording.
+        factor: on both.
+    """
+    return dataclasses.replace(sample, matrix=sample.matrix * [[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+
+
 def _windows(count: int) -> list[range]:
     if count <= _WINDOWS * _WINDOW:
         number = max(1, round(count / _WINDOW))
         bounds = np.linspace(0, count, number + 1).astype(int)
-        return [range(first, last) for first, last in zip(bounds[:-1], bounds[1:], strict=True)]
+        return [range(first, last) for first, last in itertools.pairwise(bounds.tolist())]
     starts = np.linspace(0, count - _WINDOW, _WINDOWS).astype(int)
     return [range(start, start + _WINDOW) for start in starts]
 
@@ -146,7 +166,7 @@ def _sampled(recording: Recording, index: int, shape: tuple[int, int], *, keep_d
         coverage=len(found) / total,
         depth=depth if keep_depth else None,
         depths=found[:: max(1, len(found) // 2000)],
-        depth_digest=zlib.crc32(np.ascontiguousarray(depth)),
+        depth_digest=zlib.crc32(depth.tobytes()),
     )
 
 
