@@ -127,7 +127,7 @@ def _text(convention: Convention) -> str:
     if not np.array_equal(convention.axes, np.eye(3)):
         places = np.abs(convention.axes).argmax(axis=0)
         x, y, z = (int(place + 1) * int(convention.axes[place, i]) for i, place in enumerate(places))
- signed = (x, y, z)
+        signed = (x, y, z)
         words.append(_AXES.get(signed, "in other camera axes: " + _directions(signed)))
     return ", ".join(words) or "as expected"
 
