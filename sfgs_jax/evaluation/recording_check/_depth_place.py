@@ -18,6 +18,8 @@ _FARTHEST = 15
 """Most frames that depth is tried earlier or later."""
 _CLEAR = 0.15
 """Least agreement that counts as one, and least gain that counts as better."""
+_WELL = 0.5
+"""Agreement beyond which the given layout is right."""
 _SIGMAS = 3.0
 
 Points = Float[np.ndarray, "n 2"] | Int[np.ndarray, "n 2"]
@@ -82,22 +84,19 @@ def check_depth_place(sample: RecordingSample) -> DepthPlace:
         sample: of the recording.
     """
     plain = _by_lag(sample, AS_IT_IS)
-    # A layout can only be found wrong where the given one fits at no time.
+    # Another layout can only be right where the given one fits badly at all times.
     layout = AS_IT_IS
     tables = {layout: plain}
-    if not plain.clear:
+    if not plain.clear or plain.peak < _WELL:
         tables |= {name: _by_lag(sample, name) for name in LAYOUTS if name != layout}
         best = max(tables, key=lambda name: tables[name].peak)
         if tables[best].clear and tables[best].peak > 2 * max(plain.peak, 0.05):
             layout = best
     table = tables[layout]
-    lag = table.lag
-    findings = (
-        _layout_finding(layout, tables),
-        _lag_finding(table),
-        _registration_finding(sample, layout, lag, table),
-    )
-    return DepthPlace(layout, lag if findings[1].severity == "warning" else 0, findings)
+    lag = _lag_finding(table)
+    late = table.lag if lag.severity == "warning" else 0
+    registration = _registration_finding(sample, table, in_place=layout == AS_IT_IS and not late)
+    return DepthPlace(layout, late, (_layout_finding(layout, tables), lag, registration))
 
 
 @dataclass(frozen=True)
@@ -158,16 +157,17 @@ def _by_lag(sample: RecordingSample, layout: str) -> _LagTable:
     for window in sample.windows:
         for lag in table:
             windows[lag].append([])
+        edges = np.stack([frame.edges for frame in window]) if window else np.zeros((0, *sample.shape))
         for depth_frame in window:
             outlined.append(len(depth_frame.outlines) > 0)
             if not outlined[-1]:
                 continue
             moved = np.rint(transform(depth_frame.outlines / size) * size).astype(np.int32)
-            for colour_frame in window:
+            values = agreement(edges, moved[None])[0]
+            for colour_frame, value in zip(window, values.tolist(), strict=True):
                 # Depth that belongs to an earlier colour image is late.
                 lag = depth_frame.index - colour_frame.index
                 if lag in table:
-                    value = agreement(colour_frame.edges, moved)
                     table[lag].append(value)
                     windows[lag][-1].append(value)
                     by_frame[colour_frame.index, lag] = value
@@ -240,8 +240,8 @@ def _lag_finding(table: _LagTable) -> Finding:
     return Finding("synchronisation", "good", message, evidence=evidence)
 
 
-def _registration_finding(sample: RecordingSample, layout: str, lag: int, table: _LagTable) -> Finding:
-    if not table.clear or layout != AS_IT_IS or lag:
+def _registration_finding(sample: RecordingSample, table: _LagTable, *, in_place: bool) -> Finding:
+    if not table.clear or not in_place:
         reason = "correct the faults named first" if table.clear else "the scene has too few outlines"
         message = f"It can't be told whether depth is registered to colour: {reason}."
         return Finding("registration", "unknown", message)
@@ -266,20 +266,21 @@ def _best_placement(sample: RecordingSample) -> tuple[float, float, Float[np.nda
     frames = frames[:: max(1, len(frames) // 16)]
     outlines = [frame.outlines[:: max(1, len(frame.outlines) // 500)] for frame in frames]
     centre = (np.array(sample.shape[::-1]) - 1) / 2
-
-    def mean(zoom: float, shift: Float[np.ndarray, " 2"]) -> float:
+    steps = np.rint(np.arange(-24, 25, 4) * max(sample.pixel, 0.25))
+    shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 1, 2)
+    best, zoom, shift, plain = -np.inf, 1.0, np.zeros(2), 1e-3
+    for tried in (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15):
         values = [
-            agreement(frame.edges, np.rint((points - centre) * zoom + centre + shift).astype(np.int32))
+            agreement(
+                frame.edges[None], np.rint((points - centre) * tried + centre + shifts).astype(np.int32)
+            )
             for frame, points in zip(frames, outlines, strict=True)
         ]
-        return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
-
-    steps = np.arange(-24, 25, 4) * sample.pixel
-    placements = [
-        (mean(zoom, np.array([x, y])), zoom, np.array([x, y]))
-        for zoom in (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
-        for x in steps
-        for y in steps
-    ]
-    best, zoom, shift = max(placements, key=lambda placement: placement[0])
-    return best, zoom, shift, max(mean(1.0, np.zeros(2)), 1e-3)
+        # Far shifts may leave no outline in the image.
+        means = np.mean(np.nan_to_num(values), axis=0)[:, 0]
+        place = int(means.argmax())
+        if means[place] > best:
+            best, zoom, shift = float(means[place]), tried, shifts[place, 0]
+        if tried == 1:
+            plain = max(plain, float(means[len(means) // 2]))
+    return best, zoom, shift, plain

@@ -22,7 +22,7 @@ _TOLERATED = 1.2
 _TOLERATED_OUT_OF_PLACE = 2.5
 _STRUCTURED_LIGHT = 2.9e-3
 """Step of depth at 1 m of sensors like the first Kinect, in metres."""
-_ODDS = 3.0
+_ODDS = 3.5
 """Natural logarithm of the odds by which another factor must be likelier."""
 
 
@@ -58,10 +58,11 @@ class Habits:
     @property
     def log_likelihood(self) -> float:
         """Natural logarithm, up to a constant."""
-        value = -0.5 * (np.log(self.median / 1.8) / 0.65) ** 2
-        # Depth sensors end at about 10 m, and begin at 0.2 m or beyond.
+        value = -0.5 * (np.log(self.median / 1.8) / 0.55) ** 2
+        # Depth sensors end at about 10 m, and begin at 0.2 m or beyond; a room is longer than a metre.
         value -= 3.0 * np.clip(np.log(self.far / 10) / np.log(1.5), 0, 1)
         value -= 2.0 * np.clip(np.log(0.2 / self.near) / np.log(2), 0, 1)
+        value -= 2.0 * np.clip(np.log(1.2 / self.far) / np.log(1.5), 0, 1)
         if self.speed is not None:
             value -= 0.5 * (np.log(max(self.speed, 0.005) / 0.35) / 1.0) ** 2
         if self.step is not None:

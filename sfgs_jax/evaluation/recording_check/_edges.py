@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 _JUMP = 1.05
 """Ratio of depths across an outline."""
@@ -48,19 +48,23 @@ def _near_sides(depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return (depth > 0) & (far > _JUMP * depth) & (depth < 1.01 * near)
 
 
-def agreement(edges: Float[np.ndarray, "h w"], outlines: Shaped[np.ndarray, "n 2"]) -> float:
+def agreement(
+    edges: Float[np.ndarray, "k h w"], outlines: Int[np.ndarray, "s n 2"]
+) -> Float[np.ndarray, "s k"]:
     """Mean colour edge on depth's outlines: 0 by chance, 0.3 to 3 where they belong together.
 
     Args:
-        edges: of `colour_edges`.
-        outlines: of `depth_outlines`; what lies out of the image does not count.
+        edges: of `colour_edges`, of k images.
+        outlines: of `depth_outlines`, in s places; what lies out of the image does not count.
 
     Returns:
-        NaN without outlines.
+        Of each place and image; NaN where no outline lies in the image.
     """
-    height, width = edges.shape
-    columns, rows = outlines[:, 0], outlines[:, 1]
+    height, width = edges.shape[1:]
+    columns, rows = outlines[..., 0], outlines[..., 1]
     within = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
-    if not within.any():
-        return float("nan")
-    return float(edges[rows[within], columns[within]].mean(dtype=np.float64))
+    flat = np.where(within, rows * width + columns, 0)
+    values = np.where(within, edges.reshape(len(edges), -1)[:, flat], 0)
+    counts = np.count_nonzero(within, axis=1)
+    sums = values.sum(axis=2, dtype=np.float64)
+    return np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0).T

@@ -48,7 +48,7 @@ class SampledFrame:
     seen: Bool[np.ndarray, "h w"] | None
     coverage: float
     depth: Float[np.ndarray, "h w"] | None
-    depths: Float[np.ndarray, " n"]
+    depths: Float[np.ndarray, " k"]
     depth_digest: int
 
 
@@ -163,7 +163,7 @@ def _sampled(recording: Recording, index: int, shape: tuple[int, int], *, keep_d
         edges=colour_edges(grey).astype(np.float16),
         outlines=depth_outlines(depth),
         seen=seen,
-        coverage=len(found) / total,
+        coverage=float(len(found) / total),
         depth=depth if keep_depth else None,
         depths=found[:: max(1, len(found) // 2000)],
         depth_digest=zlib.crc32(depth.tobytes()),
