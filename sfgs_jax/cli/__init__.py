@@ -2,6 +2,9 @@
 
 from sfgs_jax.cli._ablations import ABLATIONS as ABLATIONS
 from sfgs_jax.cli._ablations import ablated as ablated
+from sfgs_jax.cli._check import CheckArguments as CheckArguments
+from sfgs_jax.cli._check import check_command as check_command
+from sfgs_jax.cli._check import check_text as check_text
 from sfgs_jax.cli._configuration import RunConfig as RunConfig
 from sfgs_jax.cli._configuration import from_json as from_json
 from sfgs_jax.cli._configuration import read_config as read_config
