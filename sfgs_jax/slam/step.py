@@ -12,8 +12,8 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import FrameError, InputError, described
 from sfgs_jax.geometry import Frame, se3, warn_unless_metres
+from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth
 from sfgs_jax.slam.keyframes import advance_graph, motion_covariance, with_new_keyframes
@@ -80,18 +80,7 @@ def follow(
 
     Arguments and errors as of `step`.
     """
-    if not isinstance(frame, Frame):
-        raise InputError(f"A step takes a Frame(rgb, depth, timestamp), not {described(frame)}.")
-    if frame.depth.shape != state.camera.shape or frame.rgb.shape != (*state.camera.shape, 3):
-        raise InputError(
-            f"The frame has colour {frame.rgb.shape} and depth {frame.depth.shape}, the camera is for images "
-            f"of {state.camera.shape}: pass frames of one size, and init() a state for each size."
-        )
-    if float(frame.timestamp) < state.last_timestamp:
-        raise FrameError(
-            f"The frame's time stamp {float(frame.timestamp):.6f} s is before that of the last frame, "
-            f"{state.last_timestamp:.6f} s: pass frames in the order of their time stamps."
-        )
+    check_frame(frame, state.camera, state.last_timestamp)
     number = state.next_frame if number is None else number
     with stages("tracking"):
         since = float(frame.timestamp) - state.last_timestamp
