@@ -17,7 +17,7 @@ from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth
 from sfgs_jax.slam.keyframes import advance_graph, motion_covariance, with_new_keyframes
-from sfgs_jax.slam.mapping import map_frame, shift_since, view_is_due, view_of
+from sfgs_jax.slam.mapping import becomes_view, map_frame, view_of
 from sfgs_jax.slam.state import (
     PoseSource,
     SlamState,
@@ -105,13 +105,9 @@ def follow(
         state = with_graph(state, graph)
     keyframe, T_keyframe_cam, covariance = _place_in_graph(state, found, info)
     log = state.log.with_frame(float(frame.timestamp), number, keyframe, T_keyframe_cam, covariance)
-    view, recent = None, [k.frame for k in graph.keyframes[-2:]]
-    shift, settings = (
-        shift_since(log, graph.poses, state.last_view, frame, state.camera),
-        state.config.mapping,
-    )
-    if view_is_due(number, state.last_view, recent, settings, new_keyframe=info.new_keyframe, shift=shift):
-        factor = mapping_factor(state.camera, settings)
+    view = None
+    if becomes_view(state, log, frame, new_keyframe=info.new_keyframe):
+        factor = mapping_factor(state.camera, state.config.mapping)
         corrected, twist = with_corrected_depth(params, frame), tracker.last_motion.twist
         view = view_of(corrected, factor, keyframe, T_keyframe_cam, number, twist)
     state = replace(state, log=log, last_view=state.last_view if view is None else number)

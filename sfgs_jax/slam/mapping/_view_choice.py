@@ -12,6 +12,7 @@ from sfgs_jax.geometry import Camera, Frame, clean_depth, downscale_depth, downs
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.state._frame_log import FrameLog
 from sfgs_jax.slam.state._map_state import View
+from sfgs_jax.slam.state._slam_state import SlamState
 
 
 def image_shift(
@@ -39,24 +40,30 @@ def image_shift(
     return float(np.max(np.linalg.norm(motion, axis=1))) / camera.width
 
 
-def shift_since(
-    log: FrameLog, keyframe_poses: Float[np.ndarray, "n 7"], last_view: int, frame: Frame, camera: Camera
-) -> float:
-    """`image_shift` of the newest frame of a log since the frame that was the last view; 0 if there is none.
+def becomes_view(state: SlamState, log: FrameLog, frame: Frame, *, new_keyframe: bool) -> bool:
+    """True if a frame that was just tracked becomes a view; see `view_is_due`.
 
     Args:
-        log: the frames.
-        keyframe_poses: `T_world_cam` of their keyframes as wxyz_xyz.
-        last_view: number of the frame.
-        frame: the newest one.
-        camera: intrinsics.
+        state: the run, whose graph knows of the frame.
+        log: with the frame as its newest.
+        frame: the frame.
+        new_keyframe: whether it is the newest keyframe.
     """
-    rows = log.positions([last_view])
-    if not len(rows):
-        return 0.0
-    pair = [int(rows[0]), -1]
-    T_world_cam = se3.matrices_of(keyframe_poses[log.keyframes[pair]]) @ se3.matrices_of(log.motions[pair])
-    return image_shift(np.linalg.inv(T_world_cam[0]) @ T_world_cam[1], np.asarray(frame.depth), camera)
+    shift, rows = 0.0, log.positions([state.last_view])
+    if len(rows):
+        pair = [int(rows[0]), -1]
+        T_world_keyframe = se3.matrices_of(state.graph.poses[log.keyframes[pair]])
+        T_world_cam = T_world_keyframe @ se3.matrices_of(log.motions[pair])
+        T_last_cam = np.linalg.inv(T_world_cam[0]) @ T_world_cam[1]
+        shift = image_shift(T_last_cam, np.asarray(frame.depth), state.camera)
+    return view_is_due(
+        log.newest,
+        state.last_view,
+        [keyframe.frame for keyframe in state.graph.keyframes[-2:]],
+        state.config.mapping,
+        new_keyframe=new_keyframe,
+        shift=shift,
+    )
 
 
 def view_is_due(
