@@ -1,4 +1,4 @@
-"""`sfgs-jax export`: a map in the format of another program."""
+"""`sfgs-jax export`: the map of a run, or its poses and images, in the format of another program."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -11,7 +11,10 @@ import numpy as np
 import tyro
 from scipy.special import logit
 
-from sfgs_jax.arrays import InputError, check_range
+from sfgs_jax.arrays import InputError, check_range, write_atomically
+from sfgs_jax.cli._configuration import read_config
+from sfgs_jax.datasets import open_recording
+from sfgs_jax.geometry import format_kitti, format_tum, read_tum
 from sfgs_jax.splatting import (
     Gaussians,
     load_ply,
@@ -26,6 +29,9 @@ from sfgs_jax.splatting import (
 Format = Literal["ply", "splat", "spz", "glb"]
 """Formats by the suffix of their files."""
 
+Poses = Literal["tum", "kitti", "nerfstudio", "colmap", "rerun"]
+"""Formats of the poses of a run."""
+
 _WRITERS: Mapping[Format, Callable[[Path, Gaussians], None]] = {
     "ply": save_ply,
     "splat": save_splat,
@@ -36,12 +42,12 @@ _WRITERS: Mapping[Format, Callable[[Path, Gaussians], None]] = {
 
 @dataclasses.dataclass(frozen=True)
 class ExportArguments:
-    """Write a map for other programs. The suffix of OUT names the format."""
+    """Write a map, or with --poses a run, for other programs. The suffix of OUT names a map's format."""
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SOURCE")]
     """Folder that `sfgs-jax run` wrote, or a .ply file in the layout of 3DGS."""
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
-    """File to write."""
+    """File to write; for the poses of nerfstudio and COLMAP a new folder."""
     format: Format | None = None
     """Format of the file. None takes the suffix of OUT."""
     points: bool = False
@@ -50,6 +56,11 @@ class ExportArguments:
     """Gaussians with a lower opacity are left out, from 0 to 1."""
     spz_version: Literal[3, 4] | None = None
     """Version of an SPZ file. None writes version 3; version 4 needs zstd."""
+    poses: Poses | None = None
+    """Write the poses of a run instead of its map alone. TUM and KITTI are text files, rerun is an .rrd file.
+    The folders of nerfstudio (also for instant-ngp) and COLMAP hold images and the map's points too."""
+    recording: str | None = None
+    """New place of the recording, if it has moved since the run; --poses takes images and camera from it."""
     overwrite: bool = False
     """Replace OUT if it exists."""
 
@@ -61,6 +72,8 @@ class ExportArguments:
 def export_command(arguments: list[str]) -> int:
     """Run the command; see ExportArguments."""
     options = tyro.cli(ExportArguments, prog="sfgs-jax export", args=arguments)
+    if options.poses is not None:
+        return _export_poses(options, options.poses)
     source = map_file(options.source)
     write = _writer(options)
     _require_place(options.out, source, overwrite=options.overwrite)
@@ -73,6 +86,34 @@ def export_command(arguments: list[str]) -> int:
     size = options.out.stat().st_size
     amount = f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.1f} kB"
     print(f"{options.out}: {count} Gaussians, {amount}")
+    return 0
+
+
+def _export_poses(options: ExportArguments, poses: Poses) -> int:
+    """Write the poses of a run, with its images where the format has them."""
+    folder, out = options.source, options.out
+    if options.points or options.format or options.spz_version or options.min_opacity:
+        raise InputError("--points, --format, --spz-version and --min-opacity are for maps, not for --poses.")
+    missing = next((name for name in ("trajectory.txt", "map.ply") if not (folder / name).is_file()), None)
+    if missing is not None:
+        raise InputError(f"{folder} has no {missing}: give the folder that `sfgs-jax run` wrote.")
+    is_folder = poses in ("nerfstudio", "colmap")
+    if not is_folder:
+        _require_place(out, folder / "trajectory.txt", overwrite=options.overwrite)
+    if poses in ("tum", "kitti"):
+        trajectory = read_tum(folder / "trajectory.txt")
+        write_atomically(out, format_tum(trajectory) if poses == "tum" else format_kitti(trajectory))
+        print(f"{out}: {len(trajectory)} poses")
+        return 0
+    # Imported here: plotting comes with it, which the formats of maps do without.
+    from sfgs_jax.evaluation import posed_frames, write_colmap, write_nerfstudio, write_rerun
+
+    write = {"nerfstudio": write_nerfstudio, "colmap": write_colmap, "rerun": write_rerun}[poses]
+    config = read_config(folder / "config.json")
+    place = options.recording or config.source
+    recording = open_recording(place, dataset=config.dataset, options=config.reader)
+    count = write(out, recording, posed_frames(folder, recording), load_ply(folder / "map.ply"))
+    print(f"{out}: {count} frames with their poses")
     return 0
 
 

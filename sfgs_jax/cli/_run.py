@@ -21,10 +21,11 @@ from sfgs_jax.cli._progress import reporting
 from sfgs_jax.cli._run_observer import RunObserver
 from sfgs_jax.cli._summary import summary
 from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording, play, prefetch
-from sfgs_jax.geometry import Camera, Frame
+from sfgs_jax.geometry import Camera, Frame, format_tum
 from sfgs_jax.sensors import SensorModel, read_sensors
 from sfgs_jax.slam import (
     PRESETS,
+    GROUND_TRUTH_FILE,
     STORAGE,
     Run,
     SlamConfig,
@@ -129,6 +130,8 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
     with logging_to(folder / "run.log"):
         resumed = _resumed(folder, config, recording.camera) if options.resume else None
         write_atomically(folder / "config.json", to_json(config))
+        if recording.ground_truth is not None:
+            write_atomically(folder / GROUND_TRUTH_FILE, format_tum(recording.ground_truth))
         frames = play if options.realtime else frames
         what = (options, config, recording, folder, resumed, frames, known)
         if not options.view:

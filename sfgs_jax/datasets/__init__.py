@@ -11,6 +11,7 @@ from sfgs_jax.datasets._opening import open_recording as open_recording
 from sfgs_jax.datasets._options import ReaderOptions as ReaderOptions
 from sfgs_jax.datasets._playback import play as play
 from sfgs_jax.datasets._prefetch import prefetch as prefetch
+from sfgs_jax.datasets._realsense import RealSense as RealSense
 from sfgs_jax.datasets._recording import Recording as Recording
 from sfgs_jax.datasets._selection import Selection as Selection
 from sfgs_jax.datasets._writers import write_recording as write_recording

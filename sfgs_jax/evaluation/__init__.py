@@ -7,6 +7,9 @@ are the metrics by themselves, in the packages `trajectory`, `images`, `matching
 from sfgs_jax.evaluation._evaluate_run import evaluate_run as evaluate_run
 from sfgs_jax.evaluation._run_folder import PosedFrames as PosedFrames
 from sfgs_jax.evaluation._run_folder import posed_frames as posed_frames
+from sfgs_jax.evaluation.exports import write_colmap as write_colmap
+from sfgs_jax.evaluation.exports import write_nerfstudio as write_nerfstudio
+from sfgs_jax.evaluation.exports import write_rerun as write_rerun
 from sfgs_jax.evaluation.images import PROTOCOLS as PROTOCOLS
 from sfgs_jax.evaluation.images import LpipsWeights as LpipsWeights
 from sfgs_jax.evaluation.images import MapRenderer as MapRenderer

@@ -27,6 +27,7 @@ from sfgs_jax.geometry._surface import surface as surface
 from sfgs_jax.geometry._tangents import inverse_right_jacobian as inverse_right_jacobian
 from sfgs_jax.geometry._tangents import skew as skew
 from sfgs_jax.geometry._trajectory import Trajectory as Trajectory
+from sfgs_jax.geometry._trajectory import format_kitti as format_kitti
 from sfgs_jax.geometry._trajectory import format_tum as format_tum
 from sfgs_jax.geometry._trajectory import parse_tum as parse_tum
 from sfgs_jax.geometry._trajectory import read_tum as read_tum

@@ -1,4 +1,4 @@
-"""Time-stamped camera poses on the host, and the TUM text format."""
+"""Time-stamped camera poses on the host, and the text formats of TUM and KITTI."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,3 +90,9 @@ def format_tum(trajectory: Trajectory) -> str:
         for t, position, quaternion in zip(trajectory.timestamps, trajectory.positions, xyzw, strict=True)
     ]
     return "".join(line + "\n" for line in ["# timestamp tx ty tz qx qy qz qw", *lines])
+
+
+def format_kitti(trajectory: Trajectory) -> str:
+    """The trajectory as KITTI text: a line of the 3 x 4 matrix by rows for each pose, without time stamps."""
+    rows = trajectory.poses[:, :3].reshape(-1, 12)
+    return "".join(" ".join(f"{value:.9g}" for value in row) + "\n" for row in rows)

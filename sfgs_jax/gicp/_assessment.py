@@ -19,6 +19,15 @@ ASSESSMENT_DECIMATION = 2
 of their pixels."""
 
 
+_CORRELATION = 0.0025
+"""Intraclass correlation of the distances between unorganised clouds. They share errors of the normals and of
+the surfaces' sampling, so more than 400 of them fix a motion no better."""
+
+_VOXEL_ERROR = 0.0025
+"""Error that all means of voxels share, as a share of a voxel: surfaces bend between them. Both figures are
+fitted to exact depth and to depth with noise (experiments/point_cloud_covariance.py)."""
+
+
 class RegistrationResult(eqx.Module):
     """A motion with measures of its quality.
 
@@ -26,7 +35,8 @@ class RegistrationResult(eqx.Module):
         T_target_source: the motion found.
         information: (6, 6) information matrix of that motion in the tangent at it (translation first, right
             perturbation), metres and radians: the weight of a pose-graph edge. Only distances along the
-            normals count, and nothing along free directions, so along a bare wall it is zero.
+            normals count, and nothing along free directions, so along a bare wall it is zero. Of unorganised
+            clouds it allows for errors that all points share.
         rmse: root mean square distance along the normals of the inliers, metres.
         inlier_fraction: share of the source's points, of a sample at the finest level, that lie on the
             target.
@@ -120,7 +130,10 @@ def assess(problem: LevelProblem, minimum: Minimum) -> RegistrationResult:
     # Eigenvectors have no derivative if two directions are fixed equally well.
     fixed = lax.stop_gradient(jnp.where(free, 0, vectors))
     projector = fixed @ fixed.T
-    information = projector @ geometry @ projector / outer / (problem.redundancy * jnp.maximum(excess, 0.01))
+    inflation = problem.redundancy * jnp.maximum(excess, 0.01)
+    if problem.voxel_size is not None:
+        inflation += _common_error(weighted_squares, total(weight_sums), problem.voxel_size)
+    information = projector @ geometry @ projector / outer / inflation
 
     # Many points may have the same nearest one: a target of a few points supports nothing.
     supported = inliers * problem.decimation >= config.min_inliers
@@ -138,6 +151,22 @@ def assess(problem: LevelProblem, minimum: Minimum) -> RegistrationResult:
         directions=vectors * scale[:, None],
         free=free,
     )
+
+
+def _common_error(
+    weighted_squares: Float[Array, ""], weight: Float[Array, ""], voxel_size: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Growth of the variance by errors that all distances have in common.
+
+    The first term is Kish's design effect, Survey Sampling (1965): n correlated distances count like
+    n / (1 + n rho) independent ones.
+
+    Args:
+        weighted_squares: sum of the distances' squares over their variances.
+        weight: sum of the inverse variances.
+        voxel_size: metres.
+    """
+    return _CORRELATION * weighted_squares + weight * (_VOXEL_ERROR * voxel_size) ** 2
 
 
 def _informing(problem: LevelProblem, pairs: Correspondences) -> Float[Array, "6 N"]:

@@ -72,6 +72,7 @@ class LevelProblem(eqx.Module):
         prior: prior of the motion; None without one.
         sweep: motion while the source was read, by which its points move with the motion sought; None where
             they do not.
+        voxel_size: of the coarser unorganised cloud, metres; None if both are depth images.
         kernel_width: width of the robust kernel at this level, standard deviations; static.
         redundancy: source points per independent measurement: windows of neighbouring pixels share most of
             their depths. A prior is weighed up by it. Static.
@@ -86,6 +87,7 @@ class LevelProblem(eqx.Module):
     moments: Float[Array, "10 N"]
     prior: MotionPrior | None
     sweep: Sweep | None
+    voxel_size: Float[Array, ""] | None
     kernel_width: float = eqx.field(static=True)
     redundancy: float = eqx.field(static=True)
     decimation: int = eqx.field(static=True)
@@ -254,6 +256,7 @@ def level_problem(
         moments=point_moments(points.points),
         prior=prior,
         sweep=sweep,
+        voxel_size=_voxel_size(level, at_level(target, index)),
         kernel_width=config.kernel_width * 2**index,
         redundancy=_redundancy(level, stride, config),
         decimation=decimation**2,
@@ -267,6 +270,11 @@ def _stride(level: OrganisedLevel | PointLevel, index: int, config: GicpConfig) 
     """Step between the rows and columns to align; small images keep `min_points`."""
     kept = level.valid.size // at_level(config.min_points, index)
     return max(1, min(at_level(config.strides, index), math.isqrt(kept)))
+
+
+def _voxel_size(*levels: OrganisedLevel | PointLevel) -> Float[Array, ""] | None:
+    sizes = [level.voxel_size for level in levels if isinstance(level, PointLevel)]
+    return jnp.max(jnp.stack(sizes)) if sizes else None
 
 
 def _redundancy(level: OrganisedLevel | PointLevel, stride: int, config: GicpConfig) -> float:

@@ -28,6 +28,7 @@ from sfgs_jax.slam.keyframes import estimated_depth as estimated_depth
 from sfgs_jax.slam.keyframes import window_of as window_of
 from sfgs_jax.slam.mapping import MapParams as MapParams
 from sfgs_jax.slam.mapping import map_step as map_step
+from sfgs_jax.slam.run import GROUND_TRUTH_FILE as GROUND_TRUTH_FILE
 from sfgs_jax.slam.run import OUTPUT_FILES as OUTPUT_FILES
 from sfgs_jax.slam.run import STORAGE as STORAGE
 from sfgs_jax.slam.run import Observer as Observer

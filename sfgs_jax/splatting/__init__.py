@@ -22,6 +22,7 @@ from sfgs_jax.splatting._rendering import render as render
 from sfgs_jax.splatting._sorting import sort_by_tile_and_depth as sort_by_tile_and_depth
 from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh as rgb_to_sh
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb as sh_to_rgb
+from sfgs_jax.splatting.files import coloured_points as coloured_points
 from sfgs_jax.splatting.files import load_ply as load_ply
 from sfgs_jax.splatting.files import load_splat as load_splat
 from sfgs_jax.splatting.files import load_spz as load_spz

@@ -9,7 +9,10 @@ import pytest
 import trimesh
 from scipy.special import expit
 
-from sfgs_jax.cli import main
+from sfgs_jax.cli import RunConfig, main, to_json
+from sfgs_jax.datasets import ReaderOptions, SyntheticRecording, open_recording, write_recording
+from sfgs_jax.geometry import format_tum, read_tum
+from sfgs_jax.slam import SlamConfig
 from sfgs_jax.splatting import Gaussians, load_ply, load_spz, save_ply
 from tests.splatting.scenes import make_scene
 
@@ -104,3 +107,63 @@ def test_bad_input_gets_one_sentence(run_folder, tmp_path, monkeypatch, capsys, 
     assert error.startswith("sfgs-jax: ")
     assert error.count("\n") == 1
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """The folder of a run of three frames, and beside it the recording."""
+    root = tmp_path_factory.mktemp("posed")
+    room = SyntheticRecording(num_frames=3, width=96, height=72)
+    write_recording(room, root / "recording", layout="folder")
+    folder = root / "run"
+    folder.mkdir()
+    save_ply(folder / "map.ply", make_scene(0, degree=0))
+    (folder / "trajectory.txt").write_text(format_tum(room.ground_truth))
+    config = RunConfig(str(root / "recording"), "folder", ReaderOptions(), SlamConfig())
+    (folder / "config.json").write_text(to_json(config))
+    return folder
+
+
+@pytest.mark.parametrize("poses", ["nerfstudio", "colmap"])
+def test_a_run_becomes_a_folder_with_poses_and_images(finished, tmp_path, capsys, poses):
+    out = tmp_path / poses
+    words = ["export", str(finished), str(out), "--poses", poses]
+    assert main(words) == 0
+    assert capsys.readouterr().out == f"{out}: 3 frames with their poses\n"
+    found = open_recording(out)
+    assert found.dataset == poses
+    truth = read_tum(finished / "trajectory.txt")
+    np.testing.assert_allclose(found.ground_truth.poses, truth.poses, atol=1e-6)
+    assert main(words) == 2
+    assert "not empty; give a new folder" in capsys.readouterr().err
+
+
+def test_poses_become_one_file(finished, tmp_path, capsys):
+    tum, kitti, rrd = (tmp_path / name for name in ("tum.txt", "kitti.txt", "run.rrd"))
+    for poses, out in (("tum", tum), ("kitti", kitti)):
+        assert main(["export", str(finished), str(out), "--poses", poses]) == 0
+        assert capsys.readouterr().out == f"{out}: 3 poses\n"
+    truth = read_tum(finished / "trajectory.txt")
+    assert tum.read_text() == (finished / "trajectory.txt").read_text()
+    np.testing.assert_allclose(np.loadtxt(kitti).reshape(-1, 3, 4), truth.poses[:, :3], atol=1e-8)
+    moved = ["--recording", str(finished.parent / "recording")]
+    assert main(["export", str(finished), str(rrd), "--poses", "rerun", *moved]) == 0
+    assert rrd.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--poses", "tum", "--points"], "are for maps, not for --poses"),
+        (["--poses", "tum", "--min-opacity", "0.5"], "are for maps, not for --poses"),
+        (["--poses", "rerun", "--recording", "nowhere"], "nowhere"),
+    ],
+)
+def test_options_that_do_not_go_with_poses_are_refused(finished, tmp_path, capsys, words, message):
+    assert main(["export", str(finished), str(tmp_path / "out"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_map_alone_has_no_poses(run_folder, tmp_path, capsys):
+    assert main(["export", str(run_folder), str(tmp_path / "out.txt"), "--poses", "tum"]) == 2
+    assert "has no trajectory.txt" in capsys.readouterr().err

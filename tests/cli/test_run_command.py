@@ -16,7 +16,7 @@ import pytest
 from sfgs_jax.cli import COMMANDS, Command, main, run_command
 from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, open_recording, prefetch, write_recording
 from sfgs_jax.geometry import read_covariances, read_tum
-from sfgs_jax.slam import OUTPUT_FILES
+from sfgs_jax.slam import GROUND_TRUTH_FILE, OUTPUT_FILES
 from sfgs_jax.splatting import load_ply
 from tests.viewer.browser import OpenPage
 
@@ -34,7 +34,7 @@ SMALL = [
 ]
 NUM_FRAMES = 12
 # Nothing is estimated of a camera in a folder, unless it is asked for.
-WRITTEN = {*OUTPUT_FILES} - {"sensors.json"}
+WRITTEN = {*OUTPUT_FILES, GROUND_TRUTH_FILE} - {"sensors.json"}
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +111,8 @@ def test_writes_every_output(finished, recording_folder):
     assert metrics["frames"]["total"] == metrics["frames"]["tracked"] == NUM_FRAMES
     assert int(np.sum(load_ply(finished / "map.ply").valid)) == metrics["map"]["gaussians"] > 500
     assert metrics["ate"]["rmse_m"] < 0.03
+    # evo_ape tum groundtruth.txt trajectory.txt finds both.
+    np.testing.assert_array_equal(read_tum(finished / GROUND_TRUTH_FILE).timestamps, trajectory.timestamps)
     assert metrics["nees"]["within_3_sigma"] == 1
     assert metrics["psnr"]["all"] > 18
     assert {"tracking", "graph", "view", "mapping"} <= set(metrics["stages"])

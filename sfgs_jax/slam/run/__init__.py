@@ -8,6 +8,7 @@ from sfgs_jax.slam.run._driver import combined as combined
 from sfgs_jax.slam.run._driver import load_run as load_run
 from sfgs_jax.slam.run._driver import run as run
 from sfgs_jax.slam.run._driver import save_run as save_run
+from sfgs_jax.slam.run._outputs import GROUND_TRUTH_FILE as GROUND_TRUTH_FILE
 from sfgs_jax.slam.run._outputs import OUTPUT_FILES as OUTPUT_FILES
 from sfgs_jax.slam.run._outputs import STORAGE as STORAGE
 from sfgs_jax.slam.run._outputs import prepare_folder as prepare_folder

@@ -35,6 +35,9 @@ OUTPUT_FILES = (
 """Everything a run writes, estimates of its camera where it made them; --overwrite replaces all of it."""
 
 
+GROUND_TRUTH_FILE = "groundtruth.txt"
+"""Poses that the recording knows, beside the run's own; written where there are any."""
+
 STORAGE = "state"
 """Folder within the run's own, for what it goes on from after a stop; removed at its end."""
 
@@ -57,7 +60,7 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
                 f"The output folder {folder} is not empty (it holds {present[0]}): choose another with "
                 "--out, or pass --overwrite to replace an earlier run."
             )
-        for name in OUTPUT_FILES:
+        for name in (*OUTPUT_FILES, GROUND_TRUTH_FILE):
             (folder / name).unlink(missing_ok=True)
         shutil.rmtree(folder / STORAGE, ignore_errors=True)
         with tempfile.TemporaryFile(dir=folder) as probe:

@@ -4,6 +4,7 @@ from sfgs_jax.splatting.files._gltf import save_gltf as save_gltf
 from sfgs_jax.splatting.files._map_file import map_file as map_file
 from sfgs_jax.splatting.files._ply import load_ply as load_ply
 from sfgs_jax.splatting.files._ply import save_ply as save_ply
+from sfgs_jax.splatting.files._points import coloured_points as coloured_points
 from sfgs_jax.splatting.files._points import save_points as save_points
 from sfgs_jax.splatting.files._splat import load_splat as load_splat
 from sfgs_jax.splatting.files._splat import save_splat as save_splat
