@@ -10,16 +10,25 @@ from typing import Any
 
 import pytest
 
-from sfgs_jax.cli import COMMANDS, DoctorArguments, EvalArguments, ExportArguments, RunOptions, ViewArguments
+from sfgs_jax.cli import (
+    COMMANDS,
+    CheckArguments,
+    DoctorArguments,
+    EvalArguments,
+    ExportArguments,
+    RunOptions,
+    ViewArguments,
+)
 
 SETTINGS = {
+    "check": CheckArguments,
     "run": RunOptions,
     "eval": EvalArguments,
     "view": ViewArguments,
     "export": ExportArguments,
     "doctor": DoctorArguments,
 }
-POSITIONAL = {"eval": {"folder"}, "view": {"path"}, "export": {"source", "out"}}
+POSITIONAL = {"check": {"source"}, "eval": {"folder"}, "view": {"path"}, "export": {"source", "out"}}
 """Arguments without a name on the command line."""
 
 CONTINUES = re.compile(r"(and|or|nor|but|which|whose|who|what|of|where|those)\b", re.IGNORECASE)
