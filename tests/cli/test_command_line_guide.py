@@ -24,7 +24,7 @@ GUIDE = (Path(__file__).parents[2] / "docs" / "command_line.md").read_text()
 def flags_of(command: str, capsys) -> set[str]:
     """Options in the help of a command."""
     with contextlib.suppress(SystemExit):
-        COMMANDS[command].run(["--help"])
+        COMMANDS[command].run(["--help-all" if command == "run" else "--help"])
     return set(re.findall(r"--[a-z][a-z.-]*[a-z]", capsys.readouterr().out))
 
 
