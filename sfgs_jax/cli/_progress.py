@@ -70,14 +70,34 @@ class _PlainLines:
         self._task: str | None = None
         self._complete = False
         self._last = 0.0
+        self._first = 0
+        self._measured: tuple[int, float] | None = None
 
     def __call__(self, task: str, done: int, total: int, details: str = "") -> None:
         now = self._clock()
         beginning, ending = task != self._task, done >= total
         if beginning:
-            self._task, self._complete = task, False
-        elif not (ending and not self._complete) and now - self._last < _PLAIN_INTERVAL_SECONDS:
+            self._task, self._complete, self._first, self._measured = task, False, done, None
+        left = self._left(done, total, now)
+        if not beginning and (self._complete or not ending) and now - self._last < _PLAIN_INTERVAL_SECONDS:
             return
         self._last, self._complete = now, ending
-        line = f"{task} {done} of {total}"
-        print(f"{line}, {details}" if details else line, file=sys.stderr, flush=True)
+        words = [f"{task} {done} of {total}", *([left] if left else []), *([details] if details else [])]
+        print(", ".join(words), file=sys.stderr, flush=True)
+
+    def _left(self, done: int, total: int, now: float) -> str:
+        """Time to the task's end, by the rate after its first unit, which may have waited for a compiler."""
+        if done <= self._first or done >= total:
+            return ""
+        if self._measured is None:
+            self._measured = done, now
+            return ""
+        first, start = self._measured
+        seconds = (total - done) * (now - start) / max(done - first, 1)
+        return f"{_duration(seconds)} left" if done > first else ""
+
+
+def _duration(seconds: float) -> str:
+    """Minutes and seconds as on a clock."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"

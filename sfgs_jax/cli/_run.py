@@ -17,8 +17,10 @@ from sfgs_jax.cli._configuration import RunConfig, read_config, to_json
 from sfgs_jax.cli._evaluate import evaluate_folder
 from sfgs_jax.cli._live import keep_page, live_view
 from sfgs_jax.cli._log import logger, logging_to
+from sfgs_jax.cli._outcome import failure_of, scale_warning
 from sfgs_jax.cli._progress import reporting
 from sfgs_jax.cli._run_observer import RunObserver
+from sfgs_jax.cli._short_help import short_help
 from sfgs_jax.cli._summary import summary
 from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording, play, prefetch
 from sfgs_jax.geometry import Camera, Frame, format_tum
@@ -45,8 +47,39 @@ _INTERRUPTED = 130
 
 _USAGE = """usage: sfgs-jax run SOURCE [--out DIR] [OPTIONS]
 
-SOURCE is the folder or file of a recording, or the built-in room: sfgs-jax run synthetic
-All options: sfgs-jax run --help"""
+SOURCE is the folder or file of a recording, or the built-in room: sfgs-jax run synthetic"""
+_HELP_ALL = "--help-all"
+_SHOWN = (
+    "out",
+    "overwrite",
+    "resume",
+    "view",
+    "realtime",
+    "refine",
+    "no-evaluate",
+    "quiet",
+    "dataset",
+    "reader.start",
+    "reader.end",
+    "reader.stride",
+    "reader.camera",
+    "reader.depth-scale",
+    "reader.max-depth",
+    "config",
+    "sensors",
+    "ablation",
+    "mapping.max-width",
+    "mapping.final-steps",
+)
+"""Options that most people need; `--help-all` shows the others."""
+_EXAMPLES = (
+    "sfgs-jax run synthetic:frames=60,width=160,height=120",
+    "sfgs-jax check my_desk                              is the recording fit for a run?",
+    "sfgs-jax run my_desk --view                         watch it in the browser",
+    "sfgs-jax run my_desk --reader.stride 2 --overwrite  every second frame",
+    "sfgs-jax run my_desk --resume                       go on where a run was stopped",
+    "sfgs-jax run my_desk --out runs/b --config runs/my_desk/config.json",
+)
 
 _SOURCE_HELP = (
     "Folder or file of the recording, or the built-in room: `synthetic` or `synthetic:frames=60,width=160`."
@@ -115,8 +148,13 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
         The exit status.
     """
     if not arguments:
-        print(_USAGE, file=sys.stderr)
+        print(f"{_USAGE}\nMost options: sfgs-jax run --help", file=sys.stderr)
         return 2
+    if not {"-h", "--help"}.isdisjoint(arguments):
+        more = f"All settings of the system: sfgs-jax run {_HELP_ALL}"
+        print(short_help(_USAGE, RunOptions, _SHOWN, _EXAMPLES, more))
+        return 0
+    arguments = ["--help" if word == _HELP_ALL else word for word in arguments]
     source, options, recording = _open(arguments)
     options = dataclasses.replace(
         options, slam=_refined(ablated(options.slam, options.ablation), options.refine)
@@ -215,7 +253,6 @@ def _run(
             report,
             recording,
             folder,
-            final_steps=config.slam.mapping.final_steps,
             keep_state=not options.realtime,
         )
         observer.begin(first)
@@ -250,7 +287,11 @@ def _run(
         evaluate_folder(written, recording, quiet=options.quiet)
     if not options.quiet:
         print(summary(json.loads((written / "metrics.json").read_text()), written))
-    return 1 if failure is not None or written != folder else 0
+    if warning := scale_warning(result.trajectory, recording):
+        logger.warning("%s", warning)
+    if problem := failure_of(result, config.source):
+        logger.error("%s", problem)
+    return 1 if failure is not None or problem is not None or written != folder else 0
 
 
 def _begin_log(recording: Recording, resumed: Run | None) -> None:

@@ -1,5 +1,6 @@
 """The command's view of a run: log, progress, and the trajectory and state kept on disk."""
 
+import math
 import time
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from sfgs_jax.slam import STORAGE, Progress, Run, save_run, write_trajectories
 _CHECKPOINT_FRAMES = 100
 _ERROR_FRAMES = 20
 
-_FRAMES, _STEPS = "frame", "refining the map, step"
-"""Names of the two tasks."""
+_FRAMES, _STEPS, _SECONDS = "frame", "refining the map, step", "refining the map, second"
+"""Names of the tasks; the refinement counts steps or seconds."""
 
 
 class RunObserver:
@@ -24,15 +25,12 @@ class RunObserver:
         report: shows progress.
         recording: the recording of the run.
         folder: the run's folder.
-        final_steps: number of mapping steps after the last frame.
         keep_state: also keep the state that `--resume` needs.
     """
 
-    def __init__(
-        self, report: Reporter, recording: Recording, folder: Path, *, final_steps: int, keep_state: bool
-    ) -> None:
+    def __init__(self, report: Reporter, recording: Recording, folder: Path, *, keep_state: bool) -> None:
         self._report, self._recording, self._folder = report, recording, folder
-        self._final_steps, self._keep_state = final_steps, keep_state
+        self._keep_state = keep_state
         self._error = ""
         self._start: tuple[int, float] | None = None
 
@@ -44,7 +42,7 @@ class RunObserver:
     def __call__(self, progress: Progress) -> None:
         """Take note of a frame or of a final mapping step."""
         if progress.stage != "frames":
-            self._report(_STEPS, progress.done, self._final_steps)
+            self._refined(progress)
             return
         self._log(progress)
         if progress.done % _ERROR_FRAMES == 0 and self._recording.ground_truth is not None:
@@ -53,6 +51,14 @@ class RunObserver:
         self._report(_FRAMES, progress.done, len(self._recording), details)
         if progress.done % _CHECKPOINT_FRAMES == 0:
             self.keep(progress.run)
+
+    def _refined(self, progress: Progress) -> None:
+        config = progress.run.config.mapping
+        if config.final_seconds > 0:
+            seconds, total = progress.run.refinement_ms / 1e3, math.ceil(config.final_seconds)
+            self._report(_SECONDS, min(int(seconds), total), total)
+        else:
+            self._report(_STEPS, progress.done, config.final_steps)
 
     def keep(self, run: Run) -> None:
         """Write the results so far; a failure to write does not end the run."""

@@ -8,7 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from sfgs_jax.cli import ABLATIONS, COMMANDS, EvalArguments, ExportArguments, RunOptions, ViewArguments
+from sfgs_jax.cli import (
+    ABLATIONS,
+    COMMANDS,
+    CheckArguments,
+    EvalArguments,
+    ExportArguments,
+    RunOptions,
+    ViewArguments,
+)
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "command_line.md").read_text()
 
@@ -16,7 +24,7 @@ GUIDE = (Path(__file__).parents[2] / "docs" / "command_line.md").read_text()
 def flags_of(command: str, capsys) -> set[str]:
     """Options in the help of a command."""
     with contextlib.suppress(SystemExit):
-        COMMANDS[command].run(["--help"])
+        COMMANDS[command].run(["--help-all" if command == "run" else "--help"])
     return set(re.findall(r"--[a-z][a-z.-]*[a-z]", capsys.readouterr().out))
 
 
@@ -25,7 +33,7 @@ def section(title: str) -> str:
     return GUIDE.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
-@pytest.mark.parametrize("command", ["run", "eval", "view", "export"])
+@pytest.mark.parametrize("command", ["check", "run", "eval", "view", "export"])
 def test_every_option_it_names_exists(command, capsys):
     # A group of options is written --reader.*
     named = set(re.findall(r"(--[a-z][a-z.-]*[a-z])(?![a-z.-]*\.\*)", section(command)))
@@ -35,7 +43,13 @@ def test_every_option_it_names_exists(command, capsys):
 
 @pytest.mark.parametrize(
     ("command", "kind"),
-    [("run", RunOptions), ("eval", EvalArguments), ("view", ViewArguments), ("export", ExportArguments)],
+    [
+        ("check", CheckArguments),
+        ("run", RunOptions),
+        ("eval", EvalArguments),
+        ("view", ViewArguments),
+        ("export", ExportArguments),
+    ],
 )
 def test_no_option_is_left_out(command, kind):
     text = section(command)

@@ -10,16 +10,26 @@ from typing import Any
 
 import pytest
 
-from sfgs_jax.cli import COMMANDS, DoctorArguments, EvalArguments, ExportArguments, RunOptions, ViewArguments
+from sfgs_jax.cli import (
+    COMMANDS,
+    CheckArguments,
+    DoctorArguments,
+    EvalArguments,
+    ExportArguments,
+    RunOptions,
+    ViewArguments,
+    main,
+)
 
 SETTINGS = {
+    "check": CheckArguments,
     "run": RunOptions,
     "eval": EvalArguments,
     "view": ViewArguments,
     "export": ExportArguments,
     "doctor": DoctorArguments,
 }
-POSITIONAL = {"eval": {"folder"}, "view": {"path"}, "export": {"source", "out"}}
+POSITIONAL = {"check": {"source"}, "eval": {"folder"}, "view": {"path"}, "export": {"source", "out"}}
 """Arguments without a name on the command line."""
 
 CONTINUES = re.compile(r"(and|or|nor|but|which|whose|who|what|of|where|those)\b", re.IGNORECASE)
@@ -74,7 +84,7 @@ OPTIONS = {
 def shown(command: str, capsys) -> str:
     """The help of a command without its frame, white space made single."""
     with pytest.raises(SystemExit) as caught:
-        COMMANDS[command].run(["--help"])
+        COMMANDS[command].run(["--help-all" if command == "run" else "--help"])
     assert caught.value.code == 0
     return " ".join(re.sub(r"[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
 
@@ -90,6 +100,30 @@ def test_every_option_is_shown_with_its_text(command, capsys):
     for (own, name), text in OPTIONS.items():
         if own == command:
             assert text in help_text, name
+
+
+def test_the_help_of_a_run_fits_two_screens(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    assert main(["run", "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 60
+    assert max(map(len, lines)) <= 100
+    flags = [line.split()[0] for line in lines if line.startswith("  --")]
+    assert 15 <= len(flags) <= 25
+    assert {"--out", "--resume", "--no-evaluate", "--reader.depth-scale", "--mapping.final-steps"} <= set(
+        flags
+    )
+    assert "Folder for the results." in " ".join(lines)
+    assert lines[-1].endswith("sfgs-jax run --help-all")
+    assert main(["run", "somewhere", "-h"]) == 0
+
+
+def test_options_of_the_short_help_exist(capsys):
+    assert main(["run", "--help"]) == 0
+    named = set(re.findall(r"--[a-z][a-z.-]*[a-z]", capsys.readouterr().out)) - {"--help-all"}
+    everything = shown("run", capsys)
+    assert named <= set(re.findall(r"--[a-z][a-z.-]*[a-z]", everything))
+    assert "no-no-" not in everything
 
 
 def test_the_two_sources_of_options_are_complete():

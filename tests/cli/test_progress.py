@@ -13,7 +13,7 @@ def test_plain_lines_come_at_the_beginning_now_and_then_and_at_the_end(capsys):
         report("frame", 4, 4, "polished")
     assert capsys.readouterr().err.splitlines() == [
         "frame 0 of 4, compiling",
-        "frame 2 of 4, fine",
+        "frame 2 of 4, 0:10 left, fine",
         "frame 4 of 4, fine",
         "frame 4 of 4, polished",
     ]

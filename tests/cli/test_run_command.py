@@ -380,7 +380,7 @@ def test_help_and_errors_list_the_same_layouts(capsys):
     assert main(["run", "synthetic", "--dataset", "kitti"]) == 2
     assert f"choose from {', '.join(LAYOUTS)}." in capsys.readouterr().err
     with pytest.raises(SystemExit):
-        main(["run", "--help"])
+        main(["run", "--help-all"])
     text = " ".join(re.sub(r"[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
     assert f"Layout of the recording: {', '.join(LAYOUTS)}." in text
 

@@ -16,7 +16,7 @@ def test_it_has_two_examples():
 
 def test_every_option_it_names_exists(capsys):
     with contextlib.suppress(SystemExit):
-        main(["run", "--help"])
+        main(["run", "--help-all"])
     known = set(re.findall(r"--[a-z][a-z.-]*", capsys.readouterr().out))
     named = set(re.findall(r"`(--[a-z][a-z.-]*)", GUIDE))
     assert len(named) > 8

@@ -16,7 +16,7 @@ from sfgs_jax.evaluation.recording_check._sample import RecordingSample
 
 _FARTHEST = 15
 """Most frames that depth is tried earlier or later."""
-_CLEAR = 0.15
+_CLEAR = 0.2
 """Least agreement that counts as one, and least gain that counts as better."""
 _WELL = 0.5
 """Agreement beyond which the given layout is right."""

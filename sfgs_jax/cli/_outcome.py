@@ -1,0 +1,52 @@
+"""Whether a run that came to its end was a success, and a word on its scale."""
+
+from sfgs_jax.arrays import InputError
+from sfgs_jax.datasets import Recording
+from sfgs_jax.evaluation import ate
+from sfgs_jax.geometry import Trajectory
+from sfgs_jax.slam import Run
+
+_MOST_LOST = 0.1
+"""Share of the frames that a run may lose."""
+_SCALE_TOLERANCE = 1.2
+"""Factor that the scale of a trajectory may be off by its own error."""
+
+
+def failure_of(run: Run, source: str) -> str | None:
+    """Why a run that came to its end is no success; None if it is one.
+
+    Args:
+        run: over all frames.
+        source: the recording, as the command line named it.
+    """
+    lost, offered = run.state.num_lost, run.num_frames - run.num_dropped
+    advice = f"`sfgs-jax check {source}` says what is wrong with the recording."
+    if run.state.mapping.num_gaussians == 0:
+        return f"The map is empty: no Gaussian was made of {offered} frames. {advice}"
+    if lost >= _MOST_LOST * offered:
+        return f"{lost} of {offered} frames were lost, a tenth or more. {advice}"
+    return None
+
+
+def scale_warning(trajectory: Trajectory, recording: Recording) -> str | None:
+    """A sentence if the recorded poses have another scale than the trajectory, by alignment in Sim(3).
+
+    Args:
+        trajectory: of a run.
+        recording: its recording, with or without poses.
+    """
+    if recording.ground_truth is None:
+        return None
+    try:
+        rigid = ate(trajectory, recording.ground_truth)
+        similar = ate(trajectory, recording.ground_truth, with_scale=True)
+    except InputError:
+        # Too few of the frames have a recorded pose.
+        return None
+    scale = similar.alignment.scale
+    if 1 / _SCALE_TOLERANCE < scale < _SCALE_TOLERANCE or similar.rmse_m > 0.5 * rigid.rmse_m:
+        return None
+    return (
+        f"The recorded poses are {scale:.3g} times as large as the trajectory: "
+        "the depth scale, or the unit of the poses, is wrong."
+    )
