@@ -29,6 +29,9 @@ class MapControls:
         gui: of the server.
         stage: whose map it is.
         on_look: told that the map should be drawn another way.
+
+    Attributes:
+        inputs: viser's handles by their labels.
     """
 
     def __init__(self, gui: viser.GuiApi, stage: Stage, *, on_look: Callable[[], None]) -> None:
@@ -68,6 +71,16 @@ class MapControls:
             stage.show_box(self.crop)
             on_look()
 
+        ranges = dict(zip(_AXES, self._ranges, strict=True))
+        self.inputs: dict[str, viser.GuiInputHandle] = {
+            "Show": self._mode,
+            "Size": self._size,
+            "Least opacity": self._opacity,
+            "Crop": self._crop,
+            **ranges,
+            "Floor": self._floor,
+            "Dark": self._dark,
+        }
         for control in (self._mode, self._size, self._opacity):
             control.on_update(lambda _: on_look())
         for control in (self._crop, *self._ranges):
@@ -111,8 +124,12 @@ class ReplayControls:
         gui: of the server.
         trajectory: the path.
         path: its nodes.
-        on_frame: told that somebody has chosen a frame, or to look from it.
+        on_frame: told that the slider has moved.
+        on_follow: told that the view should go with the frame, or no longer.
         on_play: told that playing, or its speed, has changed.
+
+    Attributes:
+        inputs: viser's handles by their labels.
     """
 
     def __init__(
@@ -122,6 +139,7 @@ class ReplayControls:
         path: PathLayer,
         *,
         on_frame: Callable[[], None],
+        on_follow: Callable[[], None],
         on_play: Callable[[], None],
     ) -> None:
         self._last = len(trajectory) - 1
@@ -158,9 +176,18 @@ class ReplayControls:
         for control in (line, keyframes, sigmas):
             control.on_update(show)
         enlarged.on_update(lambda _: path.enlarge(int(enlarged.value)))
-        # The replay moves the slider as well, and has done the rest itself.
-        self._frame.on_update(lambda event: None if event.client_id is None else on_frame())
-        self._follow.on_update(lambda _: on_frame())
+        self.inputs: dict[str, viser.GuiInputHandle] = {
+            "Frame": self._frame,
+            "Play": self._play,
+            "Speed": self._speed,
+            "Look from there": self._follow,
+            "Path": line,
+            "Keyframes": keyframes,
+            "Uncertainty": sigmas,
+            "Enlarged": enlarged,
+        }
+        self._frame.on_update(lambda _: on_frame())
+        self._follow.on_update(lambda _: on_follow())
         for control in (self._play, self._speed):
             control.on_update(lambda _: on_play())
 

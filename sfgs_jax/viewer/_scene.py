@@ -52,6 +52,7 @@ class MapScene:
         path: the path's line, `/trajectory/path`; None without a trajectory.
         frusta: a camera frustum per keyframe, `/trajectory/keyframes/I`.
         replay: the frustum of the replayed frame, `/replay`; None without a trajectory.
+        controls: viser's handles of the page's inputs by their labels; a value that is set changes the page.
     """
 
     def __init__(
@@ -258,7 +259,12 @@ class MapScene:
         if stage.path is not None:
             with tabs.add_tab("Replay"):
                 self._replay_controls = ReplayControls(
-                    gui, self._trajectory, stage.path, on_frame=self._frame_chosen, on_play=self._play_chosen
+                    gui,
+                    self._trajectory,
+                    stage.path,
+                    on_frame=self._frame_chosen,
+                    on_follow=self._follow_chosen,
+                    on_play=self._play_chosen,
                 )
             stage.path.on_keyframe(self._keyframe_clicked)
             self._clock = Replay(self._trajectory.timestamps, self._frame_come)
@@ -267,6 +273,9 @@ class MapScene:
             with tabs.add_tab("Save"):
                 controls = SaveControls(gui, camera, has_path=stage.path is not None)
             self._downloads = Downloads(controls, self._save_view, self._save_path, self.save_map)
+        self.controls = self._map_controls.inputs | (
+            {} if self._replay_controls is None else self._replay_controls.inputs
+        )
         for note in notes:
             gui.add_markdown(note)
 
@@ -275,20 +284,25 @@ class MapScene:
         self._sending.call("map", lambda: self._draw(self._map_controls.look), rest_s=_REST_S)
 
     def _frame_chosen(self) -> None:
-        """Go to the frame of the slider."""
+        """Go to the frame of the slider, which the replay and a keyframe move as well."""
         controls = self._replay_controls
-        if controls is None or self._clock is None:
+        if controls is None or self._clock is None or controls.frame == self._index:
             return
         self._clock.go_to(controls.frame)
         self.show_frame(controls.frame, follow=controls.follow)
-        if not controls.follow:
+
+    def _follow_chosen(self) -> None:
+        controls = self._replay_controls
+        if controls is not None and controls.follow:
+            self.show_frame(self._index, follow=True)
+        else:
             self._stage.let_go()
 
     def _frame_come(self, index: int) -> None:
         """Go to the frame whose time has come."""
         if self._replay_controls is not None:
-            self._replay_controls.frame = index
             self.show_frame(index, follow=self._replay_controls.follow)
+            self._replay_controls.frame = index
 
     def _play_chosen(self) -> None:
         controls = self._replay_controls
@@ -303,10 +317,10 @@ class MapScene:
         """Take the browser to the keyframe, and the replay to its frame."""
         times = self._trajectory.timestamps
         index = int(np.argmin(np.abs(times - self._keyframes.timestamps[keyframe])))
+        self.show_frame(index)
         if self._replay_controls is not None and self._clock is not None:
             self._replay_controls.frame = index
             self._clock.go_to(index)
-        self.show_frame(index)
         self._stage.look_from(self._keyframes.poses[keyframe], client)
 
     def _draw(self, look: Look) -> None:
