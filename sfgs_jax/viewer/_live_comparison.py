@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Float, Int, UInt8
 
 from sfgs_jax.evaluation import psnr_by_protocol
 from sfgs_jax.geometry import Camera, Frame, downscale_depth, downscale_rgb, se3
@@ -42,7 +42,7 @@ class Comparison:
 
 
 def compare(state: SlamState, frame: Frame) -> Comparison:
-    """Render the map at the newest pose, in the size that mapping works with.
+    """Render the map at the newest pose, in the size that mapping renders with while frames are tracked.
 
     A map that has grown, or needs more room for pairs, compiles anew.
 
@@ -50,17 +50,19 @@ def compare(state: SlamState, frame: Frame) -> Comparison:
         state: with the frame as its newest, and at least one tracked frame.
         frame: the frame.
     """
-    gains = state.gains
+    gains, config = state.gains, state.config.mapping
+    factor = max(1, -(-state.camera.width // config.live_max_width))
     compared = _compared(
         state.gaussians,
-        state.mapping_camera,
+        state.camera.downscaled(factor),
         se3.from_matrix(state.trajectory.poses[-1]),
         jnp.asarray(frame.rgb, jnp.float32),
         jnp.asarray(frame.depth, jnp.float32),
         jnp.asarray(np.ones(3) if gains is None else gains[-1], jnp.float32),
         RenderConfig(pair_capacity=state.mapping.pair_capacity),
     )
-    return Comparison(_picture(*(np.asarray(image) for image in compared[:3])), float(compared[3]))
+    images = (np.asarray(image) for image in compared[:3])
+    return Comparison(_picture(*images, complete=not compared[4]), float(compared[3]))
 
 
 @partial(jax.jit, static_argnames=("config",))
@@ -72,25 +74,31 @@ def _compared(
     depth: Float[Array, "H W"],
     gain: Float[Array, "3"],
     config: RenderConfig,
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"], Float[Array, "h w"], Float[Array, ""]]:
-    """The recorded image reduced, the rendered one, the rendered depth, and the PSNR."""
+) -> tuple[
+    Float[Array, "h w 3"], Float[Array, "h w 3"], Float[Array, "h w"], Float[Array, ""], Int[Array, ""]
+]:
+    """The recorded image reduced, the rendered one and its depth, the PSNR, and pairs without room."""
     factor = rgb.shape[1] // camera.width
     rgb, depth = downscale_rgb(rgb, factor), downscale_depth(depth, factor)
     seen = render(gaussians, camera, T_world_cam, config=config)
     rendered = jnp.clip(with_gain(seen.rgb, gain), 0, 1)
     psnr = psnr_by_protocol(rendered, rgb, depth, jnp.ones(depth.shape, bool))["depth"]
-    return rgb, rendered, jnp.where(seen.alpha > _OPAQUE, seen.depth, 0), psnr
+    return rgb, rendered, jnp.where(seen.alpha > _OPAQUE, seen.depth, 0), psnr, seen.overflow
 
 
 def _picture(
-    rgb: Float[np.ndarray, "h w 3"], rendered: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h w"]
+    rgb: Float[np.ndarray, "h w 3"],
+    rendered: Float[np.ndarray, "h w 3"],
+    depth: Float[np.ndarray, "h w"],
+    *,
+    complete: bool,
 ) -> UInt8[np.ndarray, "H W 3"]:
     difference = np.abs(rendered - rgb).mean(axis=2) / _BRIGHTEST_DIFFERENCE
     near, far = np.percentile(depth[depth > 0], [2, 98]) if np.any(depth > 0) else (0.0, 1.0)
     share = np.where(depth > 0, np.clip((depth - near) / max(far - near, 1e-3), 0.01, 1), 0)
     tiles = [
         _titled(_eight_bits(rgb), "recorded"),
-        _titled(_eight_bits(rendered), "rendered"),
+        _titled(_eight_bits(rendered), "rendered" if complete else "rendered in part"),
         _titled(_coloured(difference, cv2.COLORMAP_INFERNO), "difference"),
         _titled(_coloured(share, cv2.COLORMAP_TURBO), f"depth, {near:.1f} to {far:.1f} m"),
     ]

@@ -20,22 +20,22 @@ class Snapshot:
     """A run after a frame or a final map step. Nothing in it changes any more.
 
     Attributes:
-        stage: "frames" or "refinement".
-        done: frames or steps so far.
         state: of the run.
         frame: the newest frame that could be decoded, if there is one.
-        tracked: whether its pose is known.
+        headline: what the run is doing.
+        share: of the work that is done, in [0, 1].
+        steps: frames and final map steps so far.
         urgent: whether it is to be shown at once, because the run waits.
-        ending: headline of the page if the run has ended.
+        ended: whether the run has ended.
     """
 
-    stage: str
-    done: int
     state: SlamState
     frame: Frame | None
-    tracked: bool
+    headline: str
+    share: float
+    steps: int
     urgent: bool
-    ending: str | None = None
+    ended: bool
 
 
 class LiveDisplay:
@@ -47,7 +47,6 @@ class LiveDisplay:
         page: the page.
         history: of the run; the PSNR of each update is added.
         truth: ground truth, if there is any.
-        num_frames: frames of the recording, if that is known.
         max_gaussians: Gaussians to draw before the run has ended.
     """
 
@@ -59,11 +58,10 @@ class LiveDisplay:
         history: History,
         *,
         truth: Trajectory | None,
-        num_frames: int | None,
         max_gaussians: int,
     ) -> None:
         self._server, self._scene, self._page, self._history = server, scene, page, history
-        self._truth, self._num_frames, self._max_gaussians = truth, num_frames, max_gaussians
+        self._truth, self._max_gaussians = truth, max_gaussians
 
     def move(self, snapshot: Snapshot) -> None:
         """Say what the run is doing, and put the camera in its place. This takes little time.
@@ -71,10 +69,10 @@ class LiveDisplay:
         Args:
             snapshot: the run now.
         """
-        if snapshot.ending is not None:
-            self._page.end(snapshot.ending)
+        if snapshot.ended:
+            self._page.end(snapshot.headline)
         else:
-            self._tell(snapshot)
+            self._page.tell(snapshot.headline, snapshot.share)
         if not len(snapshot.state.log.timestamps):
             return
         camera = snapshot.state.camera
@@ -105,27 +103,18 @@ class LiveDisplay:
             trajectory,
             covariances,
             None if beside is None else beside.path,
-            most_gaussians=self._max_gaussians if snapshot.ending is None else None,
+            most_gaussians=None if snapshot.ended else self._max_gaussians,
         )
         if snapshot.frame is not None:
             compared = compare(state, snapshot.frame)
             self._page.picture.image = compared.picture
-            steps = 0 if snapshot.stage == "frames" else snapshot.done
-            self._history.steps.append(state.next_frame + steps)
+            self._history.steps.append(snapshot.steps)
             self._history.psnr.append(compared.psnr)
         bounds = position_bounds(covariances)
         rows = np.zeros(0, int) if beside is None else beside.rows
         errors = np.zeros(0) if beside is None else beside.errors_m
         self._page.plots.show(self._history, state.log.numbers[rows], errors, bounds[rows])
         self._page.tell_facts(self._facts(state, beside, float(bounds[-1])))
-
-    def _tell(self, snapshot: Snapshot) -> None:
-        if snapshot.stage == "frames":
-            words, total = "Frame" if snapshot.tracked else "Lost at frame", self._num_frames
-        else:
-            words, total = "Refining the map, step", snapshot.state.config.mapping.final_steps
-        of = "" if total is None else f" of {total}"
-        self._page.tell(f"{words} {snapshot.done}{of}", snapshot.done / total if total else 0.0)
 
     def _facts(self, state: SlamState, beside: TruthBeside | None, bound_m: float) -> dict[str, str]:
         rotation = np.degrees(3 * np.sqrt(np.trace(state.covariances[-1, 3:, 3:])))

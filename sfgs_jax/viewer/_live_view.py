@@ -1,6 +1,7 @@
 """A run in progress in the browser: an observer that hands its newest state to a thread of its own."""
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -58,7 +59,7 @@ class LiveView:
         interval_s: float = 2.0,
         max_gaussians: int = 100_000,
     ) -> None:
-        self._save, self._interval_s = save, interval_s
+        self._save, self._interval_s, self._num_frames = save, interval_s, num_frames
         self.server = start_server(host, port, name)
         self.control = RunControl(self._write)
         scene, self._history = LiveScene(self.server), History()
@@ -76,7 +77,6 @@ class LiveView:
             self._page,
             self._history,
             truth=ground_truth,
-            num_frames=num_frames,
             max_gaussians=max_gaussians,
         )
         self._newest: Snapshot | None = None
@@ -100,10 +100,8 @@ class LiveView:
         self._history.add(progress)
         if progress.frame is not None:
             self._frame = progress.frame
-        tracked = progress.info is None or progress.info.tracked
-        self._newest = Snapshot(
-            progress.stage, progress.done, progress.run.state, self._frame, tracked, self.control.paused
-        )
+        headline, share = self._headline(progress)
+        self._newest = self._snapshot(progress.run, headline, share, urgent=self.control.paused)
         self.control.pass_through(progress.run)
 
     def finish(self, run: Run, message: str = "") -> None:
@@ -115,9 +113,7 @@ class LiveView:
         """
         tracked = f"{len(run.state.log.timestamps)} of {run.num_frames} frames tracked"
         headline = f"The run has {'been stopped' if run.interrupted else 'ended'}: {tracked}"
-        stage = "refinement" if run.num_refined else "frames"
-        done = run.num_refined or run.num_frames
-        self._newest = Snapshot(stage, done, run.state, self._frame, True, True, ending=headline)
+        self._newest = self._snapshot(run, headline, 1.0, urgent=True, ended=True)
         if message:
             self._page.note(message)
 
@@ -147,6 +143,25 @@ class LiveView:
             self._page.end("The run has failed")
             self.server.flush()
         self.close()
+
+    def _headline(self, progress: Progress) -> tuple[str, float]:
+        """What the run is doing, and the share of it that is done."""
+        run, config = progress.run, progress.run.config.mapping
+        if progress.stage == "frames":
+            lost = progress.info is not None and not progress.info.tracked
+            total, share = self._num_frames, run.num_frames / (self._num_frames or math.inf)
+            words = "Lost at frame" if lost else "Frame"
+        else:
+            total, share = None if config.final_seconds else config.final_steps, run.refined_share
+            words = "Refining the map, step"
+        of = "" if total is None else f" of {total}"
+        return f"{words} {progress.done}{of}", share
+
+    def _snapshot(
+        self, run: Run, headline: str, share: float, *, urgent: bool, ended: bool = False
+    ) -> Snapshot:
+        steps = run.num_frames + run.num_refined
+        return Snapshot(run.state, self._frame, headline, share, steps, urgent=urgent, ended=ended)
 
     def _write(self, run: Run) -> None:
         if self._save is None:

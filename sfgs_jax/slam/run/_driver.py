@@ -123,6 +123,14 @@ class Run:
         """The map."""
         return self.state.gaussians
 
+    @property
+    def refined_share(self) -> float:
+        """Share of the refinement that is done, by its time or by its steps."""
+        config = self.config.mapping
+        if config.final_seconds > 0:
+            return self.refinement_ms / 1e3 / config.final_seconds
+        return self.num_refined / config.final_steps if config.final_steps else 1.0
+
 
 class TooManySkipped(InputError):
     """Too many frames could not be decoded.
@@ -296,7 +304,7 @@ def _refine(run: Run, observer: Observer) -> None:
         return
     mapping = follow_trajectory(state.mapping, state.log, run.trajectory)
     run.state = replace(state, mapping=mapping)
-    while (done := _refined_share(run)) < 1:
+    while (done := run.refined_share) < 1:
         start = time.perf_counter()
         with run.stopwatch("refinement"):
             mapping, _ = refine_once(
@@ -311,14 +319,6 @@ def _refine(run: Run, observer: Observer) -> None:
         run.num_refined += 1
         run.refinement_ms += round(1e3 * (time.perf_counter() - start))
         observer(Progress("refinement", run.num_refined, mapping.num_gaussians, None, None, run))
-
-
-def _refined_share(run: Run) -> float:
-    """Share of the refinement that is done, by its time or by its steps."""
-    config = run.config.mapping
-    if config.final_seconds > 0:
-        return run.refinement_ms / 1e3 / config.final_seconds
-    return run.num_refined / config.final_steps if config.final_steps else 1.0
 
 
 def _check_skipped(run: Run) -> None:
