@@ -26,8 +26,8 @@ from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording,
 from sfgs_jax.geometry import Camera, Frame, format_tum
 from sfgs_jax.sensors import SensorModel, read_sensors
 from sfgs_jax.slam import (
-    PRESETS,
     GROUND_TRUTH_FILE,
+    PRESETS,
     STORAGE,
     Run,
     SlamConfig,

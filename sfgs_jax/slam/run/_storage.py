@@ -224,8 +224,8 @@ def _filled(template: SlamState, tensors: dict[str, np.ndarray], folder: Path) -
 def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     """A state of the same structure; its leaves tell arrays, numbers and flags apart."""
     width, height = json.loads(metadata["size"])
-    zero, counts = jnp.zeros(()), json.loads(metadata["counts"])
-    state = init(Camera(zero, zero, zero, zero, width=width, height=height), config)
+    one, counts = jnp.ones(()), json.loads(metadata["counts"])
+    state = init(Camera(one, one, one, one, width=width, height=height), config)
     motion, matrix = np.zeros(7, np.float32), np.zeros((6, 6), np.float32)
     offsets = state.graph.offsets
     sensitivity = np.zeros((6, len(offsets)))
