@@ -44,7 +44,6 @@ def steps_of(state: SlamState, grey: np.ndarray, depth: np.ndarray) -> dict[str,
         rate=jnp.ones(()),
         config=config.optimisation,
         seeding=config.seeding,
-        factor=2,
         pair_capacity=state.mapping.pair_capacity,
     )
     pose = se3.compose(state.graph.pose(view.keyframe), view.T_keyframe_cam)

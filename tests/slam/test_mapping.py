@@ -28,7 +28,7 @@ from sfgs_jax.slam.state import View, empty_log, gains_of, grow, move
 from sfgs_jax.splatting import RenderConfig, render
 
 DEFAULT = MappingConfig()
-QUALITY_DB = 20.0
+QUALITY_DB = 30.7
 """PSNR of the small map, held-out frames among its scored ones."""
 
 
@@ -328,7 +328,6 @@ def test_the_quality_of_a_small_map(refined, frames):
         out = render(after.gaussians, after.camera, pose, config=RenderConfig(pair_capacity=65_536))
         assert int(out.overflow) == 0
         figures.append(float(psnr(out.rgb, jnp.asarray(frames[number].rgb))))
-    print("QQ", figures, np.mean(figures))
     assert np.mean(figures) > QUALITY_DB - 0.5
 
 
@@ -336,7 +335,7 @@ def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):
     state, mapping, losses = refined
     views = len(state.mapping.views)
     assert mapping.num_steps == state.mapping.num_steps + 48
-    assert np.mean(losses[-views:]) < 0.7 * np.mean(losses[:views])
+    assert np.mean(losses[-views:]) < 0.6 * np.mean(losses[:views])
     config = state.config.mapping
     first, last = (
         refine_once(mapping, state.mapping_camera, config, number=48, done=done, seed=0)[0]

@@ -10,15 +10,15 @@ from sfgs_jax.arrays import InputError, check_counts, check_positive, check_rang
 class LearningRates:
     """Adam's learning rate for each parameter of the Gaussians."""
 
-    means: float = 2e-4
+    means: float = 1.6e-3
     """Learning rate of the means, metres."""
-    quaternions: float = 2e-3
+    quaternions: float = 1.6e-2
     """Learning rate of the unnormalised quaternions."""
-    log_scales: float = 5e-3
+    log_scales: float = 4e-2
     """Learning rate of the logarithms of the scales."""
-    opacity_logits: float = 2e-2
+    opacity_logits: float = 0.16
     """Learning rate of the opacities before the sigmoid."""
-    sh: float = 5e-3
+    sh: float = 0.08
     """Learning rate of the spherical-harmonics coefficients."""
 
     def __post_init__(self) -> None:
@@ -34,16 +34,16 @@ class SeedingConfig:
     """Side of the smallest cell of a view's image that gets a Gaussian of its own, pixels."""
     max_cell: int = 8
     """Side of the largest cell, pixels: the smallest one doubled some times."""
-    colour_tolerance: float = 0.05
+    colour_tolerance: float = 0.08
     """Standard deviation of a colour channel, in [0, 1], beyond which a cell is divided into four."""
     min_alpha: float = 0.6
     """Accumulated opacity below which a pixel gets a Gaussian."""
     depth_margin: float = 0.05
     """Distance by which a pixel's surface must lie in front of the map's to get a Gaussian, as a share of
     its depth."""
-    opacity: float = 0.7
+    opacity: float = 0.9
     """Opacity of a new Gaussian."""
-    scale: float = 0.6
+    scale: float = 0.55
     """Standard deviation of a new Gaussian along the surface, in sides of its cell."""
     thickness: float = 0.3
     """Standard deviation of a new Gaussian across the surface, as a share of that along it."""
@@ -92,9 +92,6 @@ class MappingConfig:
 
     max_width: int = 640
     """Largest width of the views' images, pixels. Larger ones are reduced by the smallest whole factor."""
-    live_max_width: int = 320
-    """Largest width at which a view is rendered while frames are tracked, and at the beginning of the
-    refinement, pixels."""
     capacity: int = 131_072
     """Gaussians that the map has room for at first. It doubles when full."""
     max_capacity: int = 1_048_576
@@ -118,8 +115,6 @@ class MappingConfig:
     final_seconds: float = 0.0
     """Seconds of refinement in place of a number of steps; 0 means `final_steps`. A run with it does not
     repeat itself to the bit."""
-    fine_share: float = 0.5
-    """Share of the refinement, at its end, in which views are rendered at their whole size."""
     final_rate: float = 0.1
     """Factor on the learning rates that the refinement ends with."""
     newest_share: float = 0.3
@@ -135,10 +130,10 @@ class MappingConfig:
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
-        check_counts(self, 1, "max_width", "live_max_width", "capacity", "pair_capacity")
+        check_counts(self, 1, "max_width", "capacity", "pair_capacity")
         check_counts(self, 1, "view_interval", "prune_interval")
         check_counts(self, self.capacity, "max_capacity")
         check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")
-        check_range(self, 0, 1, "newest_share", "prune_opacity", "fine_share", "final_rate")
+        check_range(self, 0, 1, "newest_share", "prune_opacity", "final_rate")
         check_range(self, 0, math.inf, "final_seconds")
         check_positive(self, "max_view_shift")

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from sfgs_jax.geometry import Camera, downscale_depth, downscale_rgb
+from sfgs_jax.geometry import Camera
 from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time, fitted_gain, with_gain
 from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
 from sfgs_jax.slam.mapping._seeding import uncovered
@@ -57,7 +57,6 @@ class MapParams(eqx.Module):
         rate: factor on the learning rates.
         config: loss and learning rates.
         seeding: settings that say where the map lacks surface.
-        factor: whole factor by which a view is reduced before it is rendered.
         pair_capacity: pairs of tile and Gaussian that a rendering has room for.
     """
 
@@ -67,7 +66,6 @@ class MapParams(eqx.Module):
     rate: Float[ArrayLike, ""]
     config: OptimisationConfig = eqx.field(static=True)
     seeding: SeedingConfig = eqx.field(static=True)
-    factor: int = eqx.field(static=True)
     pair_capacity: int = eqx.field(static=True)
 
 
@@ -77,7 +75,7 @@ class MapStep(NamedTuple):
     Attributes:
         map: after the step.
         loss: before it.
-        missing: (h, w) pixels of the reduced view whose surface the map lacked before it.
+        missing: (h, w) pixels whose surface the map lacked before it.
         gain: of the view's colours against the map's; ones if they count as exposed alike.
         seed_gain: the same for the colours of new Gaussians, where the map is still transparent.
         overflow: pairs that did not fit. Where it is not 0 the rendering was incomplete; repeat the step with
@@ -92,30 +90,21 @@ class MapStep(NamedTuple):
     overflow: Int[Array, ""]
 
 
-@partial(jax.jit, static_argnames="factor")
+@jax.jit
 def seen_by(
-    view: View, camera: Camera, timing: SensorTiming | None, *, factor: int = 1
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"], Bool[Array, "h w"]]:
-    """Colour of a view in [0, 1], its depth when the same rows of colour were exposed, and its valid pixels.
+    view: View, camera: Camera, timing: SensorTiming | None
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"]]:
+    """Colour of a view in [0, 1], and its depth when the same rows of colour were exposed.
 
     Args:
         view: the view.
-        camera: intrinsics of the reduced view.
+        camera: its intrinsics.
         timing: times of its rows; None if its images count as taken at once.
-        factor: whole factor by which to reduce the view.
     """
-    rgb, depth, valid = (
-        jnp.asarray(view.rgb, jnp.float32) / 255,
-        jnp.asarray(view.depth),
-        jnp.asarray(view.valid),
-    )
-    if factor > 1:
-        rgb, depth = downscale_rgb(rgb, factor), downscale_depth(depth, factor)
-        h, w = depth.shape
-        valid = valid[: h * factor, : w * factor].reshape(h, factor, w, factor).all(axis=(1, 3))
+    depth = jnp.asarray(view.depth)
     if timing is not None:
         depth = depth_in_time(depth, camera, jnp.asarray(view.twist), timing)
-    return rgb, depth, valid
+    return jnp.asarray(view.rgb, jnp.float32) / 255, depth
 
 
 @jax.jit
@@ -132,8 +121,8 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
         view: images to be like.
         T_world_cam: its pose when colour's middle row was exposed.
     """
-    camera = params.camera.downscaled(params.factor) if params.factor > 1 else params.camera
-    rgb, depth, valid = seen_by(view, camera, params.timing, factor=params.factor)
+    rgb, depth = seen_by(view, params.camera, params.timing)
+    valid = jnp.asarray(view.valid)
     shutter = None
     if params.timing is not None:
         shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
@@ -141,7 +130,7 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
 
     def loss_of(values: Parameters) -> tuple[Array, tuple[Array, Array, Array, Array]]:
         gaussians = with_parameters(gaussian_map.gaussians, values)
-        out = render(gaussians, camera, T_world_cam, shutter=shutter, config=config)
+        out = render(gaussians, params.camera, T_world_cam, shutter=shutter, config=config)
         lacking = uncovered(out, depth, params.seeding)
         gain = seed_gain = jnp.ones(3)
         if params.mean_gain is not None:

@@ -112,7 +112,7 @@ def insert_view(
     mapping = stepped if config.steps_per_view else replace(mapping, pair_capacity=room)
     mapping = replace(mapping, views=(*mapping.views[:-1], replace(view, gain=seed_gain)))
     T_world_cam, keyframe = _pose(view, mapping), jnp.asarray(view.keyframe, jnp.int32)
-    rgb, depth, _ = seen_by(view, camera, _timing(mapping))
+    rgb, depth = seen_by(view, camera, _timing(mapping))
     rgb = with_gain(rgb, 1 / done.seed_gain)
     while True:
         seeded, dropped = seed(
@@ -158,7 +158,6 @@ def step_on_view(
     camera: Camera,
     config: MappingConfig,
     *,
-    fine: bool = False,
     rate: float = 1.0,
 ) -> tuple[MapState, MapStep]:
     """One map step on a view, with as much room for pairs as it needs.
@@ -168,7 +167,6 @@ def step_on_view(
         number: of the view; -1 is the newest.
         camera: of the views.
         config: settings.
-        fine: render the view at its whole size.
         rate: factor on the learning rates.
 
     Returns:
@@ -176,8 +174,6 @@ def step_on_view(
     """
     view = mapping.views[number]
     T_world_cam, mean_gain = _pose(view, mapping), _mean_gain(mapping, config)
-    factor = 1 if fine else _live_factor(camera, config)
-    room_of = "fine_pair_capacity" if fine else "pair_capacity"
     while True:
         params = MapParams(
             camera=camera,
@@ -186,26 +182,19 @@ def step_on_view(
             rate=jnp.asarray(rate, jnp.float32),
             config=config.optimisation,
             seeding=config.seeding,
-            factor=factor,
-            pair_capacity=getattr(mapping, room_of),
+            pair_capacity=mapping.pair_capacity,
         )
         done = map_step(params, mapping.map, view, T_world_cam)
         if not int(done.overflow):
             break
-        seen = camera.downscaled(factor) if factor > 1 else camera
-        need = pair_capacity(mapping.map.gaussians, seen, T_world_cam, headroom=_HEADROOM)
-        mapping = replace(mapping, **{room_of: max(need, 2 * params.pair_capacity)})
+        need = pair_capacity(mapping.map.gaussians, camera, T_world_cam, headroom=_HEADROOM)
+        mapping = replace(mapping, pair_capacity=max(need, 2 * mapping.pair_capacity))
     num_steps, optimised = mapping.num_steps + 1, done.map
     if num_steps % config.prune_interval == 0:
         optimised = prune(optimised, config.prune_opacity)
     views = list(mapping.views)
     views[number] = replace(view, gain=np.asarray(done.gain))
     return replace(mapping, map=optimised, views=tuple(views), num_steps=num_steps), done
-
-
-def _live_factor(camera: Camera, config: MappingConfig) -> int:
-    """Whole factor by which views are reduced for a step that is not fine."""
-    return max(1, -(-camera.width // config.live_max_width))
 
 
 def _pose(view: View, mapping: MapState) -> jaxlie.SE3:

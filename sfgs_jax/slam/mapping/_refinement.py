@@ -1,7 +1,6 @@
 """Refinement: map steps over all views once the recording has ended.
 
-Views come in shuffled epochs. The learning rates decay, so that the map comes to rest, and the last share of
-the steps renders views at their whole size.
+Views come in shuffled epochs. The learning rates decay, so that the map comes to rest.
 """
 
 import numpy as np
@@ -35,7 +34,6 @@ def refine_once(
         int(order[place]),
         camera,
         config,
-        fine=done >= 1 - config.fine_share,
         rate=config.final_rate**done,
     )
     return mapping, float(stepped.loss)

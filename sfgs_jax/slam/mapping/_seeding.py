@@ -46,7 +46,7 @@ def _tangent_frames(normals: Float[Array, "n 3"], points: Float[Array, "n 3"]) -
 def _candidates(
     rgb: Float[Array, "h w 3"],
     depth: Float[Array, "h w"],
-    missing: Bool[Array, "y x"],
+    missing: Bool[Array, "h w"],
     camera: Camera,
     T_world_cam: jaxlie.SE3,
     config: SeedingConfig,
@@ -106,11 +106,6 @@ def _seeds(
     row, column = (
         jnp.minimum(x.astype(jnp.int32), length - 1) for x, length in zip((v, u), camera.shape, strict=True)
     )
-    reduced = camera.height // missing.shape[0]
-    lacking = missing[
-        jnp.minimum(row // reduced, missing.shape[0] - 1),
-        jnp.minimum(column // reduced, missing.shape[1] - 1),
-    ]
     points = camera.unproject(jnp.stack([u, v], axis=-1), jnp.where(z > 0, z, 1)).reshape(-1, 3)
     # At depth edges there is no plane to fit; a disc that faces the camera covers its pixels.
     facing = -points / jnp.linalg.norm(points, axis=-1, keepdims=True)
@@ -132,7 +127,7 @@ def _seeds(
         "opacity_logits": jnp.full(len(points), jnp.log(opacity / (1 - opacity)), z.dtype),
         "sh": rgb_to_sh(colour.reshape(-1, 3))[:, None, :],
     }
-    return values, lacking
+    return values, missing[row, column]
 
 
 @eqx.filter_jit
@@ -140,7 +135,7 @@ def seed(
     gaussian_map: GaussianMap,
     rgb: Float[Array, "h w 3"],
     depth: Float[Array, "h w"],
-    missing: Bool[Array, "y x"],
+    missing: Bool[Array, "h w"],
     camera: Camera,
     T_world_cam: jaxlie.SE3,
     keyframe: Int[Array, ""],
@@ -152,7 +147,7 @@ def seed(
         gaussian_map: before.
         rgb: colours of the view in the map's exposure.
         depth: of the view, metres along z; 0 where missing.
-        missing: pixels of the reduced view whose surface the map lacks.
+        missing: pixels whose surface the map lacks.
         camera: intrinsics of the view.
         T_world_cam: its pose.
         keyframe: number of the keyframe that the new Gaussians belong to.

@@ -49,8 +49,7 @@ class MapState:
         times: (3,) of the camera's rows as they were last estimated, in the order of `SensorTiming`, seconds;
             None if images count as taken at once.
         num_steps: map steps done.
-        pair_capacity: pairs of tile and Gaussian that a rendering of reduced size has room for.
-        fine_pair_capacity: the same of a view's whole size.
+        pair_capacity: pairs of tile and Gaussian that a rendering has room for.
         dropped_seeds: Gaussians for which the map had no room.
     """
 
@@ -60,7 +59,6 @@ class MapState:
     times: Float[np.ndarray, "3"] | None
     num_steps: int
     pair_capacity: int
-    fine_pair_capacity: int
     dropped_seeds: int
 
     @property
@@ -83,6 +81,5 @@ def empty_map_state(config: MappingConfig, *, timed: bool) -> MapState:
         times=np.zeros(3, np.float32) if timed else None,
         num_steps=0,
         pair_capacity=config.pair_capacity,
-        fine_pair_capacity=config.pair_capacity,
         dropped_seeds=0,
     )
