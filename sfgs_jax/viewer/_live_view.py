@@ -5,7 +5,8 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 from sfgs_jax.geometry import Frame, Trajectory
@@ -22,9 +23,9 @@ _log = logging.getLogger(__name__)
 _TICK_S = 0.2
 """Seconds between two looks for news. The camera and the headline move with each."""
 
-_REST = 8.0
-"""Rest after an update, as a multiple of its time: it takes processors from the tracker. The shortest of the
-last three updates counts, because one that compiled says nothing about the next."""
+_CPU_REST, _LONGEST_REST = 20.0, 60.0
+"""Rest after an update, as multiples of its duration: processor time that the run has had since, or else
+wall time. A busy machine gives the run little time, and then updates are rare."""
 
 
 class LiveView:
@@ -176,7 +177,7 @@ class LiveView:
 
     def _work(self) -> None:
         moved = shown = None
-        due, took = 0.0, deque([0.0], maxlen=3)
+        pace = _Pace(self._interval_s)
         while not self._closed.wait(_TICK_S):
             newest = self._newest
             if newest is None or newest is shown or not self.server.get_clients():
@@ -185,12 +186,44 @@ class LiveView:
                 if newest is not moved:
                     moved = newest
                     self._display.move(newest)
-                if newest.urgent or time.monotonic() >= due:
-                    shown, start = newest, time.monotonic()
-                    self._display.show(newest)
-                    took.append(time.monotonic() - start)
-                    due = time.monotonic() + max(self._interval_s, _REST * min(took))
+                if newest.urgent or pace.is_due():
+                    shown = newest
+                    with pace.update():
+                        self._display.show(newest)
             except Exception:
                 if not self._complained:
                     _log.exception("The live view has failed. The run goes on, and this is not said again.")
                 self._complained = True
+
+
+class _Pace:
+    """Says when the next update is due, so that updates take a small share of the run's time.
+
+    Args:
+        interval_s: least time between two updates, seconds.
+    """
+
+    def __init__(self, interval_s: float) -> None:
+        self._interval_s = interval_s
+        # The shortest of the last ones counts: others compiled, as the first does, or waited for a processor.
+        self._durations: deque[float] = deque(maxlen=8)
+        self._end = self._end_cpu = 0.0
+
+    def is_due(self) -> bool:
+        """True if the last update is long enough ago."""
+        wall, cpu = time.monotonic() - self._end, time.process_time() - self._end_cpu
+        duration = min(self._durations, default=0.0)
+        rested = cpu >= _CPU_REST * duration or wall >= _LONGEST_REST * duration
+        return wall >= self._interval_s and rested
+
+    @contextmanager
+    def update(self) -> Iterator[None]:
+        """Time an update."""
+        start = time.monotonic()
+        try:
+            yield
+        finally:
+            first = not self._end
+            self._end, self._end_cpu = time.monotonic(), time.process_time()
+            if not first:
+                self._durations.append(self._end - start)
