@@ -20,7 +20,7 @@ from sfgs_jax.viewer._server import start_server
 
 _log = logging.getLogger(__name__)
 
-_TICK_S = 0.2
+_TICK_S = 0.4
 """Seconds between two looks for news. The camera and the headline move with each."""
 
 _CPU_REST, _LONGEST_REST = 20.0, 60.0
