@@ -8,7 +8,7 @@ import viser
 from sfgs_jax.geometry import Frame, Trajectory, se3
 from sfgs_jax.slam import SlamState
 from sfgs_jax.viewer._live_comparison import compare
-from sfgs_jax.viewer._live_page import BEHIND, FREE, LivePage
+from sfgs_jax.viewer._live_page import BEHIND, FREE, THROUGH, LivePage
 from sfgs_jax.viewer._live_plots import History
 from sfgs_jax.viewer._live_scene import LiveScene
 from sfgs_jax.viewer._live_truth import TruthBeside, position_bounds, truth_beside
@@ -79,6 +79,7 @@ class LiveDisplay:
         pose = se3.matrices_of(np.asarray(snapshot.state.T_world_cam.wxyz_xyz)[None])[0]
         self._scene.show_camera(camera, pose)
         viewpoint = self._page.viewpoint
+        self._scene.show_marks(viewpoint != THROUGH)
         if viewpoint == FREE:
             return
         for client in self._server.get_clients().values():

@@ -55,9 +55,9 @@ class LivePage:
             self._viewpoint = gui.add_dropdown("From", VIEWPOINTS, hint="Place of the browser's camera.")
         self._add_layers(gui, scene, with_truth=with_truth)
         panel = gui.add_panel()
-        with panel.add_tab("Newest frame"):
+        with panel.add_tab("Newest frame") as tab:
             self.picture = gui.add_image(np.zeros((480, 640, 3), np.uint8), jpeg_quality=80)
-            self.plots = LivePlots(server, with_truth=with_truth)
+        self.plots = LivePlots(server, tab, with_truth=with_truth)
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH)
 

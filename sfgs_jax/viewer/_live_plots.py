@@ -10,6 +10,8 @@ from viser import uplot
 from sfgs_jax.slam import Progress
 
 _MOST_POINTS = 1500
+_AFTER_PICTURE = 1e9
+"""Order of the plots; viser counts up from small numbers."""
 _TEXT, _GRID, _FONT = "#9ca3af", "#374151", "11px sans-serif"
 
 
@@ -54,16 +56,25 @@ class LivePlots:
 
     Args:
         server: the viser server.
+        tab: where they are.
         with_truth: whether there is ground truth to know errors by.
     """
 
-    def __init__(self, server: viser.ViserServer, *, with_truth: bool) -> None:
-        self._times = _plot(
-            server, "Time of a frame, ms", "frame", {"all": "#60a5fa", "tracking": "#f59e0b"}, log=True
+    def __init__(self, server: viser.ViserServer, tab: viser.GuiTabHandle, *, with_truth: bool) -> None:
+        self._times = _Plot(
+            server,
+            tab,
+            1,
+            "Time of a frame, ms",
+            "frame",
+            {"all": "#60a5fa", "tracking": "#f59e0b"},
+            log=True,
         )
-        self._psnr = _plot(server, "PSNR of the newest frame, dB", "frames, steps", {"PSNR": "#34d399"})
+        self._psnr = _Plot(
+            server, tab, 2, "PSNR of the newest frame, dB", "frames, steps", {"PSNR": "#34d399"}
+        )
         self._errors = (
-            _plot(server, "Position, cm", "frame", {"error": "#f87171", "3 sigma": "#9ca3af"})
+            _Plot(server, tab, 3, "Position, cm", "frame", {"error": "#f87171", "3 sigma": "#9ca3af"})
             if with_truth
             else None
         )
@@ -85,36 +96,69 @@ class LivePlots:
         """
         count = len(history.frames)
         times = (history.frames[:count], history.frame_ms[:count], history.tracking_ms[:count])
-        _draw(self._times, *map(np.asarray, times))
-        _draw(self._psnr, np.asarray(history.steps), np.asarray(history.psnr))
+        self._times.draw(*map(np.asarray, times))
+        self._psnr.draw(np.asarray(history.steps), np.asarray(history.psnr))
         if self._errors is not None:
-            _draw(self._errors, frames, 100 * errors_m, 100 * bounds_m)
+            self._errors.draw(frames, 100 * errors_m, 100 * bounds_m)
 
 
-def _plot(
-    server: viser.ViserServer, title: str, along: str, lines: dict[str, str], *, log: bool = False
-) -> viser.GuiUplotHandle:
-    """A plot that is hidden until there is something to draw: uPlot makes no use of an empty start."""
-    grid, ticks = uplot.Axis_Grid(stroke=_GRID, width=1), uplot.Axis_Ticks(stroke=_GRID, size=4)
-    across, up = (
-        uplot.Axis(stroke=_TEXT, grid=grid, ticks=ticks, size=size, font=_FONT) for size in (26, 44)
-    )
-    series = (uplot.Series(label=name, stroke=colour, width=1.5) for name, colour in lines.items())
-    return server.gui.add_uplot(
-        (np.arange(2.0),) * (1 + len(lines)),
-        (uplot.Series(label=along), *series),
-        title=title,
-        scales={"x": uplot.Scale(time=False), "y": uplot.Scale(distr=3 if log else 1)},
-        axes=(across, up),
-        legend=uplot.Legend(show=len(lines) > 1),
-        height=120,
-        visible=False,
-    )
+class _Plot:
+    """Lines over one axis; made when there is something to draw, for uPlot makes no use of an empty start.
 
+    Args:
+        server: the viser server.
+        tab: where it is.
+        order: its place there.
+        title: with the unit.
+        along: name of the axis across.
+        lines: colours by the names of the lines.
+        log: whether the axis upwards is logarithmic.
+    """
 
-def _draw(plot: viser.GuiUplotHandle, *columns: Shaped[np.ndarray, " n"]) -> None:
-    if len(columns[0]) < 2:
-        return
-    step = 1 + len(columns[0]) // _MOST_POINTS
-    plot.data = tuple(column[::step].astype(np.float64) for column in columns)
-    plot.visible = True
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        tab: viser.GuiTabHandle,
+        order: int,
+        title: str,
+        along: str,
+        lines: dict[str, str],
+        *,
+        log: bool = False,
+    ) -> None:
+        self._server, self._tab, self._order, self._title = server, tab, order, title
+        self._along, self._lines, self._log = along, lines, log
+        self._handle: viser.GuiUplotHandle | None = None
+
+    def draw(self, *columns: Shaped[np.ndarray, " n"]) -> None:
+        """Draw the lines anew.
+
+        Args:
+            columns: places across, and values of each line; nothing is drawn of a single place.
+        """
+        if len(columns[0]) < 2:
+            return
+        step = 1 + len(columns[0]) // _MOST_POINTS
+        data = tuple(column[::step].astype(np.float64) for column in columns)
+        if self._handle is None:
+            with self._tab:
+                self._handle = self._made(data)
+        else:
+            self._handle.data = data
+
+    def _made(self, data: tuple[np.ndarray, ...]) -> viser.GuiUplotHandle:
+        grid, ticks = uplot.Axis_Grid(stroke=_GRID, width=1), uplot.Axis_Ticks(stroke=_GRID, size=4)
+        across, up = (
+            uplot.Axis(stroke=_TEXT, grid=grid, ticks=ticks, size=size, font=_FONT) for size in (26, 44)
+        )
+        series = (uplot.Series(label=name, stroke=colour, width=1.5) for name, colour in self._lines.items())
+        return self._server.gui.add_uplot(
+            data,
+            (uplot.Series(label=self._along), *series),
+            title=self._title,
+            scales={"x": uplot.Scale(time=False), "y": uplot.Scale(distr=3 if self._log else 1)},
+            axes=(across, up),
+            legend=uplot.Legend(show=len(self._lines) > 1),
+            height=120,
+            order=_AFTER_PICTURE + self._order,
+        )

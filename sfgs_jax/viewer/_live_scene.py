@@ -19,6 +19,8 @@ LAYERS = ("Map", "Path", "Uncertainty", "Ground truth", "Keyframes", "Loops", "C
 _PATH_COLOUR, _TRUTH_COLOUR, _LOOP_COLOUR = (59, 130, 246), (132, 204, 22), (251, 146, 60)
 _KEYFRAME_COLOUR, _CAMERA_COLOUR = (148, 163, 184), (239, 68, 68)
 
+_MARKS = "/live/marks"
+
 _SIGMAS = 3.0
 _MOST_ELLIPSOIDS = 150
 _THUMBNAIL_WIDTH = 96
@@ -42,6 +44,7 @@ class LiveScene:
         server.scene.set_up_direction("-y")
         server.scene.configure_default_lights(cast_shadow=False)
         server.initial_camera.position, server.initial_camera.look_at = place_behind(np.eye(4))
+        self._marks = server.scene.add_frame(_MARKS, show_axes=False)
         self.layers = {name: server.scene.add_frame(_node(name), show_axes=False) for name in LAYERS}
         self.splats: viser.GaussianSplatHandle | None = None
         self.keyframes: dict[int, viser.CameraFrustumHandle] = {}
@@ -90,6 +93,14 @@ class LiveScene:
         if self._camera is None:
             self._camera = self._frustum(_node("Camera", "frustum"), camera, _CAMERA_COLOUR, 0.16, None)
         _place(self._camera, T_world_cam)
+
+    def show_marks(self, visible: bool) -> None:
+        """Show or hide all that is not the map.
+
+        Args:
+            visible: whether the layers are to be seen that are not hidden themselves.
+        """
+        self._marks.visible = visible
 
     def magnify(self, factor: float) -> None:
         """Draw the uncertainty larger than it is.
@@ -192,8 +203,10 @@ class LiveScene:
         )
 
 
-def _node(*path: str) -> str:
-    return "/live/" + "/".join(path).lower().replace(" ", "_")
+def _node(layer: str, *path: str) -> str:
+    """Name of a node; all layers but the map hang below one, which can hide them together."""
+    parent = "/live" if layer == "Map" else _MARKS
+    return "/".join([parent, layer, *path]).lower().replace(" ", "_")
 
 
 def _place(frustum: viser.CameraFrustumHandle, pose: Float[np.ndarray, "4 4"]) -> None:

@@ -82,7 +82,7 @@ def until(condition, timeout_s: float = 30) -> None:
 def hide_all_but_the_map(page: OpenPage, view: LiveView) -> None:
     for layer in ("Path", "Uncertainty", "Ground truth", "Keyframes", "Loops", "Camera"):
         page.tick(layer, on=False)
-        node = view.server.scene.get_handle_by_name(f"/live/{layer}".lower().replace(" ", "_"))
+        node = view.server.scene.get_handle_by_name(f"/live/marks/{layer}".lower().replace(" ", "_"))
         until(lambda node=node: not node.visible)
 
 
