@@ -1,10 +1,11 @@
 """Whether a run that came to its end was a success, and a word on its scale."""
 
+from typing import Any
+
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import Trajectory
-from sfgs_jax.slam import Run
 
 _MOST_LOST = 0.1
 """Share of the frames that a run may lose."""
@@ -12,16 +13,17 @@ _SCALE_TOLERANCE = 1.2
 """Factor that the scale of a trajectory may be off by its own error."""
 
 
-def failure_of(run: Run, source: str) -> str | None:
+def failure_of(metrics: dict[str, Any], source: str) -> str | None:
     """Why a run that came to its end is no success; None if it is one.
 
     Args:
-        run: over all frames.
+        metrics: content of `metrics.json` of a run over all frames.
         source: the recording, as the command line named it.
     """
-    lost, offered = run.state.num_lost, run.num_frames - run.num_dropped
+    frames = metrics["frames"]
+    lost, offered = frames["lost"], frames["total"] - frames["dropped"]
     advice = f"`sfgs-jax check {source}` says what is wrong with the recording."
-    if run.state.mapping.num_gaussians == 0:
+    if metrics["map"]["gaussians"] == 0:
         return f"The map is empty: no Gaussian was made of {offered} frames. {advice}"
     if lost >= _MOST_LOST * offered:
         return f"{lost} of {offered} frames were lost, a tenth or more. {advice}"

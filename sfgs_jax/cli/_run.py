@@ -285,11 +285,12 @@ def _run(
         shutil.rmtree(folder / STORAGE, ignore_errors=True)
     if options.evaluate:
         evaluate_folder(written, recording, quiet=options.quiet)
+    metrics = json.loads((written / "metrics.json").read_text())
     if not options.quiet:
-        print(summary(json.loads((written / "metrics.json").read_text()), written))
+        print(summary(metrics, written))
     if warning := scale_warning(result.trajectory, recording):
         logger.warning("%s", warning)
-    if problem := failure_of(result, config.source):
+    if problem := failure_of(metrics, config.source):
         logger.error("%s", problem)
     return 1 if failure is not None or problem is not None or written != folder else 0
 

@@ -110,9 +110,7 @@ def test_the_help_of_a_run_fits_two_screens(capsys, monkeypatch):
     assert max(map(len, lines)) <= 100
     flags = [line.split()[0] for line in lines if line.startswith("  --")]
     assert 15 <= len(flags) <= 25
-    assert {"--out", "--resume", "--no-evaluate", "--reader.depth-scale", "--mapping.final-steps"} <= set(
-        flags
-    )
+    assert {"--out", "--resume", "--evaluate,", "--reader.depth-scale", "--mapping.final-steps"} <= set(flags)
     assert "Folder for the results." in " ".join(lines)
     assert lines[-1].endswith("sfgs-jax run --help-all")
     assert main(["run", "somewhere", "-h"]) == 0

@@ -319,6 +319,16 @@ def test_a_folder_that_can_no_longer_be_written_costs_no_results(
     assert json.loads((results / "config.json").read_text())["dataset"] == "folder"
 
 
+def test_a_run_that_loses_a_tenth_of_its_frames_is_no_success(copy, tmp_path, capsys):
+    for name in ("rgb", "depth"):
+        for path in sorted((copy / name).iterdir())[8:10]:
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            assert cv2.imwrite(str(path), np.zeros_like(image))
+    assert run(copy, tmp_path / "out", "--no-evaluate") == 1
+    assert f"2 of {NUM_FRAMES} frames were lost, a tenth or more." in capsys.readouterr().err
+    assert len(read_tum(tmp_path / "out" / "trajectory.txt")) == NUM_FRAMES - 2
+
+
 def test_progress_names_the_compilation_and_the_refinement_has_an_end(recording_folder, tmp_path, capsys):
     out = tmp_path / "out"
     options = [word for word in SMALL if word != "--quiet"] + ["--reader.end", "3", "--no-evaluate"]

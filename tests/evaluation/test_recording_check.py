@@ -1,6 +1,5 @@
 """`check_recording` names each fault of a recording, and finds none in a good one."""
 
-import dataclasses
 import json
 import shutil
 
@@ -111,21 +110,12 @@ def test_turned_depth_is_named(copy, change, name):
     assert findings["depth layout"].message.startswith(f"Depth is {name} against colour")
 
 
-@dataclasses.dataclass(frozen=True)
-class Turned:
+class Turned(SyntheticRecording):
     """A recording whose depth is transposed, and then brought to the size of colour."""
 
-    room: SyntheticRecording
-
-    def __getattr__(self, name):
-        return getattr(self.room, name)
-
-    def __len__(self):
-        return len(self.room)
-
     def __getitem__(self, index):
-        frame = self.room[index]
-        height, width = frame.depth.shape
+        frame = super().__getitem__(index)
+        height, width = np.asarray(frame.depth).shape
         depth = cv2.resize(
             np.ascontiguousarray(frame.depth.T), (width, height), interpolation=cv2.INTER_NEAREST
         )
@@ -133,7 +123,7 @@ class Turned:
 
 
 def test_transposed_depth_is_named():
-    found = check_recording(Turned(SyntheticRecording(num_frames=20, width=160, height=120)))
+    found = check_recording(Turned(num_frames=20, width=160, height=120))
     assert [finding.message[:21] for finding in found.warnings] == ["Depth is transposed a"]
 
 

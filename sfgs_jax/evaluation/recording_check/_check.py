@@ -58,12 +58,18 @@ def check_recording(
     pairs = frame_pairs(sample)
     place = check_depth_place(sample)
     motions = _motions(pairs, sample, place.layout)
-    intrinsics = check_intrinsics(sample, [motion for _, motion in motions])
+    intrinsics = check_intrinsics(sample, [motion for _, motion in motions], measured=place.in_place)
+    poses = check_poses(sample, motions)
     if intrinsics.focal_factor != 1:
         # A wrong focal length bends the motions, and then would be blamed on the poses as well.
-        sample = with_focal_factor(sample, intrinsics.focal_factor)
-        motions = _motions(pairs, sample, place.layout)
-    poses = check_poses(sample, motions)
+        corrected = with_focal_factor(sample, intrinsics.focal_factor)
+        corrected_motions = _motions(pairs, corrected, place.layout)
+        corrected_poses = check_poses(corrected, corrected_motions)
+        if _contradict(poses, corrected_poses):
+            # A rolling shutter bends motions as well.
+            intrinsics = check_intrinsics(sample, [], measured=False)
+        else:
+            motions, poses = corrected_motions, corrected_poses
     findings = [
         check_frames(sample),
         check_times(sample, pairs),
@@ -78,6 +84,14 @@ def check_recording(
     if poses is not None:
         findings.append(poses.finding)
     return RecordingCheck(recording.name, recording.dataset, recording.notes, tuple(findings))
+
+
+def _contradict(as_given: PoseCheck | None, corrected: PoseCheck | None) -> bool:
+    """Whether poses fit with the given focal length, and worse with the corrected one."""
+    if as_given is None or corrected is None or as_given.finding.severity != "good":
+        return False
+    name = "unexplained share of motion"
+    return as_given.finding.evidence[name] < corrected.finding.evidence.get(name, 1.0)
 
 
 def _motions(pairs: Sequence[FramePair], sample: RecordingSample, layout: str) -> list[PairMotion]:

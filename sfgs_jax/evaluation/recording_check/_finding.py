@@ -23,4 +23,4 @@ class Finding:
     severity: Severity
     message: str
     advice: str = ""
-    evidence: Mapping[str, float | int | str] = field(default_factory=dict)
+    evidence: Mapping[str, float | int] = field(default_factory=dict)

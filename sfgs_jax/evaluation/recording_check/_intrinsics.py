@@ -16,10 +16,10 @@ _MOST_OFF_CENTRE = 0.15
 """Of the image's width or height."""
 _MOST_UNEQUAL = 1.15
 """Ratio of the focal lengths along rows and columns."""
-_FOCAL_TOLERANCE = 0.06
+_FOCAL_TOLERANCE = 0.08
 _FOCAL_KNOWN = 0.02
 """Largest standard deviation with which a focal length counts as measured."""
-_BEND = 10.0
+_BEND = 20.0
 """Pixels in an image of 640 that a corner may be moved by the lens."""
 _SIGMAS = 5.0
 _FEWEST = 6
@@ -38,12 +38,15 @@ class IntrinsicsCheck:
     focal_factor: float
 
 
-def check_intrinsics(sample: RecordingSample, motions: Sequence[Motion]) -> IntrinsicsCheck:
+def check_intrinsics(
+    sample: RecordingSample, motions: Sequence[Motion], *, measured: bool = True
+) -> IntrinsicsCheck:
     """Check intrinsics and lens distortion.
 
     Args:
         sample: of the recording.
-        motions: of pairs of frames, by depth in its right place.
+        motions: of pairs of frames.
+        measured: whether motions are to be believed; if not, only the numbers themselves are looked at.
     """
     camera = sample.recording.camera
     (fx, _, cx), (_, fy, cy), _ = np.asarray(camera.matrix(), float)
@@ -62,7 +65,7 @@ def check_intrinsics(sample: RecordingSample, motions: Sequence[Motion]) -> Intr
         "Take the intrinsics of the colour camera at this image size; if images were resized, scale all four "
         "numbers alike."
     )
-    good = [motion for motion in motions if motion.share > 0.3]
+    good = [motion for motion in motions if motion.share > 0.3] if measured else []
     fit = fit_lens(good, sample) if len(good) >= _FEWEST else None
     known = fit is not None and fit.focal_sigma < _FOCAL_KNOWN and 0.3 < fit.focal < 3
     if fit is not None and known:
@@ -78,10 +81,10 @@ def check_intrinsics(sample: RecordingSample, motions: Sequence[Motion]) -> Intr
         message = f"Motion and depth ask for a focal length of {fx * fit.focal:.0f} pixels; it is {fx:.0f}."
         first = Finding("intrinsics", "good", message, evidence=evidence)
     else:
-        message = "It can't be told whether the focal length is right: too little turning."
+        message = "It can't be told whether the focal length is right: motion does not tell it."
         first = Finding("intrinsics", "unknown", message, evidence=evidence)
     if fit is None or not known:
-        message = "It can't be told whether the lens bends the image: too little motion."
+        message = "It can't be told whether the lens bends the image: motion does not tell it."
         return IntrinsicsCheck((first, Finding("distortion", "unknown", message)), factor)
     bend = _distortion(fit.corner_shift / sample.pixel, fit.radial, fit.radial_sigma)
     return IntrinsicsCheck((first, bend), factor)

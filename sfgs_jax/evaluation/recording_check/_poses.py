@@ -61,14 +61,14 @@ def check_poses(sample: RecordingSample, motions: Sequence[PairMotion]) -> PoseC
     if len(found.measured) < _FEWEST or not np.isfinite(plain := found.unexplained(AS_GIVEN)):
         message = "It can't be told whether the poses fit: too few frames with a pose show a clear motion."
         return PoseCheck(Finding("poses", "unknown", message))
-    evidence: dict[str, float | int | str] = {"unexplained share of motion": plain}
+    evidence: dict[str, float | int] = {"unexplained share of motion": plain}
     if plain < _GOOD:
         message = f"Poses agree with the motion of the images ({100 * plain:.0f} % unexplained)."
         return PoseCheck(Finding("poses", "good", message, evidence=evidence), found.scale(AS_GIVEN))
     best = min(_conventions(), key=found.unexplained)
     cost = found.unexplained(best)
     if cost < min(_GOOD, 0.6 * plain):
-        evidence |= {"as corrected": cost, "convention": _text(best)}
+        evidence["as corrected"] = cost
         return PoseCheck(_convention_finding(best, plain, cost, evidence), found.scale(best))
     lags = {lag: pose_motions(poses, motions, lag=lag) for lag in range(-_FARTHEST, _FARTHEST + 1)}
     costs = {lag: at.unexplained(AS_GIVEN) for lag, at in lags.items() if len(at.measured) >= _FEWEST}
@@ -101,7 +101,7 @@ def _conventions() -> list[Convention]:
 
 
 def _convention_finding(
-    convention: Convention, plain: float, cost: float, evidence: dict[str, float | int | str]
+    convention: Convention, plain: float, cost: float, evidence: dict[str, float | int]
 ) -> Finding:
     advice = []
     if convention.inverse:
@@ -137,7 +137,7 @@ def _directions(signed: tuple[int, int, int]) -> str:
     return ", ".join(f"{axis} {names[place]}" for axis, place in zip("xyz", signed, strict=True))
 
 
-def _lag_finding(lag: int, evidence: dict[str, float | int | str]) -> Finding:
+def _lag_finding(lag: int, evidence: dict[str, float | int]) -> Finding:
     word = "late" if lag > 0 else "early"
     return Finding(
         "poses",
