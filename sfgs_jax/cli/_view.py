@@ -23,7 +23,7 @@ class ViewArguments:
     open: bool = False
     """Open the page in the browser of this machine."""
     max_gaussians: int = 300_000
-    """Most Gaussians that the page draws. Of a larger map it draws a sample, and says so."""
+    """Number of Gaussians that the page draws at most. A larger map is drawn as a sample."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""

@@ -23,7 +23,7 @@ _NO_LEVEL = "The map has no planes that tell which way is up. It is as the first
 
 
 class MapControls:
-    """What the map is drawn as, what is cropped, and which way is up.
+    """The look of the map, what is cropped, and which way is up.
 
     Args:
         gui: of the server.
@@ -105,7 +105,7 @@ class MapControls:
 
     @property
     def dark(self) -> bool:
-        """Whether black is behind the map."""
+        """True if black is behind the map."""
         return self._dark.value
 
     def explain(self, legend: str) -> None:
@@ -202,7 +202,7 @@ class ReplayControls:
 
     @property
     def playing(self) -> bool:
-        """Whether the replay runs."""
+        """True if the replay runs."""
         return self._play.value
 
     @property
@@ -212,7 +212,7 @@ class ReplayControls:
 
     @property
     def follow(self) -> bool:
-        """Whether the view goes with the replay."""
+        """True if the view goes with the replay."""
         return self._follow.value
 
 

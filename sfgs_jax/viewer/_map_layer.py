@@ -25,7 +25,7 @@ class MapLayer:
         axes: rows: right, forward and up.
         keyframes: cameras that the map was made from; may be empty.
         camera: their intrinsics; None if they are not known.
-        most: Gaussians that are sent; of a larger map a sample is.
+        most: Gaussians that are sent at most; a larger map is sent as a sample.
 
     Attributes:
         node: the splats' node, `/map`.
@@ -58,8 +58,8 @@ class MapLayer:
         if len(self.sent) == self._total:
             return f"{self._total:,} Gaussians"
         return (
-            f"{self._total:,} Gaussians. The page draws a sample of {len(self.sent):,}, enlarged to cover "
-            "the same area. Images and files hold all of them."
+            f"{self._total:,} Gaussians. The page draws a sample of {len(self.sent):,}, enlarged to fill "
+            "the gaps. Images and files hold all of them."
         )
 
     def show(self, look: Look) -> str:

@@ -33,7 +33,7 @@ def view_run(
         path: folder that a run wrote; or a .ply, .splat or .spz file, which is shown without a path.
         port: port to listen on; the next free one is taken if it is in use, and 0 takes any free one.
         host: address to listen on; "0.0.0.0" lets other machines look, without any password.
-        max_gaussians: Gaussians that the page draws; of a larger map it draws a sample, and says so.
+        max_gaussians: Gaussians that the page draws at most; a larger map is drawn as a sample.
         open_browser: open the page in the browser of this machine.
         block: wait for Ctrl-C, stop the server, and return then.
 
