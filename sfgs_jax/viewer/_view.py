@@ -1,16 +1,13 @@
 """A finished run, or a file of Gaussians, in the browser."""
 
-import contextlib
-import io
 import socket
 import threading
 import webbrowser
 from pathlib import Path
 
-import viser
-
 from sfgs_jax.viewer._finished_run import open_finished_run
 from sfgs_jax.viewer._scene import MOST_GAUSSIANS, MapScene
+from sfgs_jax.viewer._server import start_server
 from sfgs_jax.viewer._splats import splats_of
 
 _LOCAL = ("127.0.0.1", "localhost", "::1")
@@ -45,7 +42,7 @@ def view_run(
     """
     path = Path(path)
     run = open_finished_run(path)
-    server = _server(host, port, run.name)
+    server = start_server(host, port or _free_port(host), f"sfgs-jax · {run.name}")
     scene = MapScene(
         server,
         splats_of(run.gaussians),
@@ -76,14 +73,6 @@ def view_run(
         finally:
             scene.close()
     return scene
-
-
-def _server(host: str, port: int, name: str) -> viser.ViserServer:
-    # viser prints a table of its addresses, whatever it is told.
-    with contextlib.redirect_stdout(io.StringIO()):
-        return viser.ViserServer(
-            host=host, port=port or _free_port(host), label=f"sfgs-jax · {name}", verbose=False
-        )
 
 
 def _free_port(host: str) -> int:
