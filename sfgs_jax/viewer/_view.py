@@ -1,6 +1,5 @@
 """A finished run, or a file of Gaussians, in the browser."""
 
-import socket
 import threading
 import webbrowser
 from pathlib import Path
@@ -42,7 +41,7 @@ def view_run(
     """
     path = Path(path)
     run = open_finished_run(path)
-    server = start_server(host, port or _free_port(host), f"sfgs-jax · {run.name}")
+    server = start_server(host, port, f"sfgs-jax · {run.name}")
     scene = MapScene(
         server,
         splats_of(run.gaussians),
@@ -73,9 +72,3 @@ def view_run(
         finally:
             scene.close()
     return scene
-
-
-def _free_port(host: str) -> int:
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        return probe.getsockname()[1]

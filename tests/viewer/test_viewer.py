@@ -1,13 +1,16 @@
+import dataclasses
 import socket
+import time
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import viser
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Trajectory, format_tum, rotations_from_quaternions
 from sfgs_jax.splatting import Gaussians, load_ply, load_spz, save_ply, save_splat, save_spz
-from sfgs_jax.viewer import splats_of, view_run
+from sfgs_jax.viewer import MapScene, splats_of, view_run
 
 
 def _listening(port: int) -> bool:
@@ -83,6 +86,34 @@ def test_size_and_opacity_are_applied_to_the_original_map(scene, gaussians):
     opaque = splats.opacities[:, 0] >= 0.5
     np.testing.assert_allclose(scene.splats.covariances, 4 * splats.covariances[opaque], rtol=2e-3, atol=1e-6)
     np.testing.assert_allclose(scene.splats.centers, splats.centres[opaque], rtol=1e-6)
+
+
+def test_the_controls_crop_the_map(scene, gaussians):
+    scene.controls["Right"].value = (0.0, scene.controls["Right"].max)
+    scene.controls["Crop"].value = True
+    edges = scene.server.scene.get_handle_by_name("/crop")
+    assert edges.visible
+    assert edges.points.shape == (12, 2, 3)
+    inside = np.asarray(gaussians.means)[:16, 0] >= 0
+    end = time.monotonic() + 30
+    while len(scene.splats.centers) != inside.sum() and time.monotonic() < end:
+        time.sleep(0.05)
+    np.testing.assert_allclose(scene.splats.centers, np.asarray(gaussians.means)[:16][inside], rtol=1e-6)
+    scene.controls["Crop"].value = False
+    assert not edges.visible
+
+
+@pytest.mark.parametrize("mode", ["splats", "points", "depth", "normals", "uncertainty"])
+def test_an_empty_map_is_shown_as_nothing(gaussians, mode):
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+    empty = splats_of(dataclasses.replace(gaussians, valid=jnp.zeros(20, bool)))
+    scene = MapScene(server, empty, nothing, nothing)
+    try:
+        scene.show_map(mode=mode)
+        assert not scene.splats.visible
+    finally:
+        scene.close()
 
 
 def test_the_replay_goes_where_the_trajectory_goes(scene, trajectory):
