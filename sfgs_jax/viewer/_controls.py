@@ -164,8 +164,8 @@ class ReplayControls:
             "Enlarged", tuple(map(str, ENLARGEMENTS)), initial_value=str(path.enlargement), visible=False
         )
         explained = gui.add_markdown(
-            f"Ellipsoids of three standard deviations. The median of the largest is "
-            f"{3000 * path.median_sigma:.1f} mm; they are drawn enlarged.",
+            "Ellipsoids of three standard deviations, times the factor above. Without it, half of them are "
+            f"longer than {3000 * path.median_sigma:.1f} mm.",
             visible=False,
         )
 
