@@ -23,7 +23,7 @@ _NO_LEVEL = "The map has no planes that tell which way is up. It is as the first
 
 
 class MapControls:
-    """What the map is drawn as, what is cropped, and which way is up.
+    """The look of the map, what is cropped, and which way is up.
 
     Args:
         gui: of the server.
@@ -105,7 +105,7 @@ class MapControls:
 
     @property
     def dark(self) -> bool:
-        """Whether black is behind the map."""
+        """True if black is behind the map."""
         return self._dark.value
 
     def explain(self, legend: str) -> None:
@@ -164,8 +164,8 @@ class ReplayControls:
             "Enlarged", tuple(map(str, ENLARGEMENTS)), initial_value=str(path.enlargement), visible=False
         )
         explained = gui.add_markdown(
-            f"Ellipsoids of three standard deviations. The median of the largest is "
-            f"{3000 * path.median_sigma:.1f} mm; they are drawn enlarged.",
+            "Ellipsoids of three standard deviations, times the factor above. Without it, half of them are "
+            f"longer than {3000 * path.median_sigma:.1f} mm.",
             visible=False,
         )
 
@@ -202,7 +202,7 @@ class ReplayControls:
 
     @property
     def playing(self) -> bool:
-        """Whether the replay runs."""
+        """True if the replay runs."""
         return self._play.value
 
     @property
@@ -212,7 +212,7 @@ class ReplayControls:
 
     @property
     def follow(self) -> bool:
-        """Whether the view goes with the replay."""
+        """True if the view goes with the replay."""
         return self._follow.value
 
 

@@ -23,7 +23,7 @@ MAP_FORMATS: tuple[MapFormat, ...] = get_args(MapFormat)
 _WRITERS = {"ply": save_ply, "spz": save_spz, "glb": save_gltf, "splat": save_splat}
 
 SMALLEST_SIDE, LARGEST_SIDE = 16, 4096
-"""Of an image or a video, pixels."""
+"""Limits of the sides of images and videos, pixels."""
 
 
 class MapFiles:

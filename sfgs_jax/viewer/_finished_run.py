@@ -160,7 +160,9 @@ def _camera(path: Path, notes: list[str]) -> Camera | None:
         numbers = (float(found[name]) for name in ("fx", "fy", "cx", "cy"))
         return Camera(*numbers, width=int(found["width"]), height=int(found["height"]))
     except (InputError, KeyError, TypeError, ValueError):
-        notes.append("The intrinsics are not known. Frusta have the field of view of a common camera.")
+        notes.append(
+            "The intrinsics of the camera are not known. Frusta have the field of view of a common camera."
+        )
         return None
 
 

@@ -68,8 +68,8 @@ def find_level(splats: Splats, poses: Float[np.ndarray, "m 4 4"]) -> Level | Non
     """Up by the planes of a map, which are level or upright where people live.
 
     A search over directions near the cameras' mean up finds the one that is likeliest along or across the
-    normals. Gated least squares then sharpen it. Each step has a closed form: the eigenvector of the smallest
-    eigenvalue of Σ w n nᵀ over upright surfaces minus Σ w n nᵀ over level ones.
+    normals. Gated least squares then sharpen it. Each step has a closed form, the smallest eigenvector
+    of Σ w n nᵀ over upright surfaces minus Σ w n nᵀ over level ones.
 
     Args:
         splats: the map.
@@ -140,8 +140,8 @@ def _search(
 ) -> Float[np.ndarray, "3"]:
     """The likeliest of directions spread over the sphere by the golden angle.
 
-    A normal is of a level surface, of an upright one, or of any direction: a mixture of three densities over
-    its angle to the plane across `up`. A cap is smaller than a band, so level surface tells more.
+    The density of a normal is a mixture over its angle to the plane across `up`: level, upright, or any
+    direction. A cap is smaller than a band, so level surface tells more.
     """
     place = np.arange(_DIRECTIONS)
     z = 1 - (2 * place + 1) / _DIRECTIONS

@@ -25,7 +25,7 @@ class MapLayer:
         axes: rows: right, forward and up.
         keyframes: cameras that the map was made from; may be empty.
         camera: their intrinsics; None if they are not known.
-        most: Gaussians that are sent; of a larger map a sample is.
+        most: Gaussians that are sent at most; a larger map is sent as a sample.
 
     Attributes:
         node: the splats' node, `/map`.
@@ -58,8 +58,8 @@ class MapLayer:
         if len(self.sent) == self._total:
             return f"{self._total:,} Gaussians"
         return (
-            f"{self._total:,} Gaussians. The page draws a sample of {len(self.sent):,}, enlarged to cover "
-            "the same area. Images and files hold all of them."
+            f"{self._total:,} Gaussians. The page draws a sample of {len(self.sent):,}, enlarged to fill "
+            "the gaps. Images and files hold all of them."
         )
 
     def show(self, look: Look) -> str:
@@ -73,18 +73,18 @@ class MapLayer:
         """
         colours, legend = self._coloured(look.mode)
         shown = look.shown(self.sent.centres, self.sent.opacities[:, 0])
-        as_points = look.mode == "points"
+        any_shown, as_points = bool(shown.any()), look.mode == "points"
         self._fog(look.mode == "depth")
-        if as_points:
+        if any_shown and as_points:
             self._show_points(look, shown)
-        elif shown.any():
+        elif any_shown:
             drawn = self.sent[shown]
             self.node.set_gaussians(
                 drawn.centres, drawn.covariances * np.float32(look.size**2), colours[shown], drawn.opacities
             )
-        self.node.visible = bool(shown.any()) and not as_points
+        self.node.visible = any_shown and not as_points
         if self.points is not None:
-            self.points.visible = bool(shown.any()) and as_points
+            self.points.visible = any_shown and as_points
         self._look = look
         return legend
 
@@ -115,6 +115,8 @@ class MapLayer:
     def _far(self) -> float:
         """Depth that is black, metres."""
         poses = self._keyframes.poses
+        if not len(self.sent):
+            return 1.0
         if not len(poses):
             return float(np.linalg.norm(np.ptp(self.sent.centres, axis=0)))
         some = self.sent.centres[:: max(1, len(self.sent) // 5000)]

@@ -21,6 +21,9 @@ _NEAREST = 0.05
 """Metres in front of a camera, from which on it sees."""
 
 
+_TURBO = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_TURBO).reshape(256, 3)[:, ::-1]
+
+
 @dataclass(frozen=True)
 class Look:
     """How a map is drawn.
@@ -45,9 +48,7 @@ class Look:
 
 def turbo(level: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n 3"]:
     """Turbo colours: 0 is red, 1 is blue; values outside are clipped."""
-    levels = ((1 - np.clip(level, 0, 1)) * 255).round().astype(np.uint8)
-    mapped = cv2.applyColorMap(levels.reshape(-1, 1), cv2.COLORMAP_TURBO)
-    return np.asarray(mapped[..., ::-1], np.uint8).reshape(*levels.shape, 3)
+    return _TURBO[((1 - np.clip(level, 0, 1)) * 255).round().astype(np.uint8)]
 
 
 def normal_colours(splats: Splats, axes: Float[np.ndarray, "3 3"]) -> Float32[np.ndarray, "n 3"]:

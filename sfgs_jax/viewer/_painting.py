@@ -110,13 +110,15 @@ class Painter:
 
     def _prepared(self, look: Look) -> tuple[Gaussians, Array | None]:
         """Gaussians and colours of a look; None are the map's own."""
-        if self._drawn is None or self._drawn[0] is not look:
-            self._drawn = (look, self._resized(look), self._coloured(look))
-        return self._drawn[1:]
+        drawn = self._drawn
+        if drawn is None or drawn[0] is not look:
+            # Threads with other looks may come in between.
+            self._drawn = drawn = (look, self._resized(look), self._coloured(look))
+        return drawn[1:]
 
     def _resized(self, look: Look) -> Gaussians:
         shown = self.shown(look)
-        if look.mode != "points":
+        if look.mode != "points" or not len(self._splats):
             return dataclasses.replace(shown, log_scales=shown.log_scales + jnp.float32(np.log(look.size)))
         sigma = np.sqrt(np.median(np.trace(self._splats.covariances, axis1=1, axis2=2)) / 3)
         size = np.log(_POINT_SIGMA * look.size * sigma)

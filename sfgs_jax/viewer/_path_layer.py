@@ -8,6 +8,7 @@ import viser
 from jaxtyping import Float, UInt8
 
 from sfgs_jax.geometry import Camera, Trajectory, quaternions_from_rotations
+from sfgs_jax.viewer._viewpoints import vertical_field_of_view
 
 # Without a recording and its intrinsics, frusta have the field of view of a common RGB-D camera.
 _FIELD_OF_VIEW = np.radians(48)
@@ -30,8 +31,8 @@ def field_of_view(camera: Camera | None) -> tuple[float, float]:
     """Vertical field of view in radians, and width over height of the image plane."""
     if camera is None:
         return float(_FIELD_OF_VIEW), _ASPECT
-    across, down = camera.width / float(camera.fx), camera.height / float(camera.fy)
-    return float(2 * np.arctan(down / 2)), float(across / down)
+    aspect = camera.width * float(camera.fy) / (camera.height * float(camera.fx))
+    return vertical_field_of_view(camera), aspect
 
 
 def ellipsoids(

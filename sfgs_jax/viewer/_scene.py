@@ -25,7 +25,7 @@ from sfgs_jax.viewer._splats import Splats
 from sfgs_jax.viewer._stage import Stage
 
 MOST_GAUSSIANS = 300_000
-"""Gaussians that a page draws; of a larger map it draws a sample."""
+"""Gaussians that a page draws at most; a larger map is drawn as a sample."""
 
 _REST_S = 0.4
 """Time after the last event of a slider before the map is sent again."""
@@ -44,7 +44,7 @@ class MapScene:
         covariances: of the path's poses, as tangents on the right, translation first; None if unknown.
         frames: the recorded images; None if there are none.
         notes: why something is not there, one sentence each.
-        max_gaussians: Gaussians that a page draws; of a larger map it draws a sample, and says so.
+        max_gaussians: Gaussians that a page draws at most; a larger map is drawn as a sample.
 
     Attributes:
         server: the viser server.

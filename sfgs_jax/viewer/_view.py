@@ -1,16 +1,12 @@
 """A finished run, or a file of Gaussians, in the browser."""
 
-import contextlib
-import io
-import socket
 import threading
 import webbrowser
 from pathlib import Path
 
-import viser
-
 from sfgs_jax.viewer._finished_run import open_finished_run
 from sfgs_jax.viewer._scene import MOST_GAUSSIANS, MapScene
+from sfgs_jax.viewer._server import start_server
 from sfgs_jax.viewer._splats import splats_of
 
 _LOCAL = ("127.0.0.1", "localhost", "::1")
@@ -33,7 +29,7 @@ def view_run(
         path: folder that a run wrote; or a .ply, .splat or .spz file, which is shown without a path.
         port: port to listen on; the next free one is taken if it is in use, and 0 takes any free one.
         host: address to listen on; "0.0.0.0" lets other machines look, without any password.
-        max_gaussians: Gaussians that the page draws; of a larger map it draws a sample, and says so.
+        max_gaussians: Gaussians that the page draws at most; a larger map is drawn as a sample.
         open_browser: open the page in the browser of this machine.
         block: wait for Ctrl-C, stop the server, and return then.
 
@@ -45,7 +41,7 @@ def view_run(
     """
     path = Path(path)
     run = open_finished_run(path)
-    server = _server(host, port, run.name)
+    server = start_server(host, port, f"sfgs-jax · {run.name}")
     scene = MapScene(
         server,
         splats_of(run.gaussians),
@@ -76,17 +72,3 @@ def view_run(
         finally:
             scene.close()
     return scene
-
-
-def _server(host: str, port: int, name: str) -> viser.ViserServer:
-    # viser prints a table of its addresses, whatever it is told.
-    with contextlib.redirect_stdout(io.StringIO()):
-        return viser.ViserServer(
-            host=host, port=port or _free_port(host), label=f"sfgs-jax · {name}", verbose=False
-        )
-
-
-def _free_port(host: str) -> int:
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        return probe.getsockname()[1]
