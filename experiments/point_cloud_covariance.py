@@ -3,7 +3,7 @@
     python -m experiments.point_cloud_covariance [--recordings room hospital] [--pairs 36]
 
 Depth images with exact poses become point clouds without order, like PLY files. Pairs of them, some frames
-apart, are aligned from the identity. The square is e' C^-1 e of the motion's tangent; it is 6 on average if the
+apart, are aligned from the identity. The square is e' C^-1 e of the motion's tangent, 6 on average if the
 covariances C are right. Pairs that are not called converged, or that leave a direction free, are not counted.
 Neither are pairs that ended elsewhere, more than two voxels off: no covariance speaks of those.
 """

@@ -19,9 +19,9 @@ ASSESSMENT_DECIMATION = 2
 of their pixels."""
 
 
-_CORRELATION = 0.0025
+_CORRELATION = 0.00125
 """Intraclass correlation of the distances between unorganised clouds. They share errors of the normals and of
-the surfaces' sampling, so more than 400 of them fix a motion no better."""
+the surfaces' sampling, so more than 800 of them fix a motion no better."""
 
 _VOXEL_ERROR = 0.0025
 """Error that all means of voxels share, as a share of a voxel: surfaces bend between them. Both figures are

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax import Camera
+from sfgs_jax.arrays import InputError
 
 
 @pytest.fixture
@@ -72,3 +73,15 @@ def test_a_camera_without_numbers_prints_their_shapes(camera):
         assert text.startswith("Camera(fx=")
         assert "50" not in text
         assert text.endswith("width=32, height=24)")
+
+
+def test_values_of_traced_intrinsics_are_not_looked_at():
+    """An optimiser may pass through any of them; sizes and shapes are still checked."""
+
+    def focal(fx):
+        return Camera(fx, 60.0, 15.5, 11.0, width=32, height=24).matrix()[0, 0]
+
+    with pytest.raises(InputError, match=r"fx of a Camera .* not 0\.0"):
+        focal(jnp.asarray(0.0))
+    assert jax.jit(focal)(jnp.asarray(0.0)) == 0
+    assert jax.grad(focal)(jnp.asarray(-2.0)) == 1

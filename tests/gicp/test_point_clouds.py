@@ -83,6 +83,22 @@ def test_other_kernels_and_residuals_work_too(clouds, kernel):
     assert error(align(source, target, se3.identity(), config=config))[0] < 2e-3
 
 
+def test_covariances_cover_the_errors():
+    """Normalised squares of the errors, 6 on average if the covariances were exact."""
+    squares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        target, source = (prepare_points(p, config=POINTS) for p in (room(rng), moved(room(rng), MOTION)))
+        result = align(source, target, se3.identity())
+        T = np.asarray(se3.matrix(result.T_target_source), np.float64)
+        (tangent,) = se3.logs_of((np.linalg.inv(MOTION) @ T)[None])
+        squares.append(tangent @ np.asarray(result.information) @ tangent)
+        np.testing.assert_allclose(
+            np.asarray(result.covariance) @ np.asarray(result.information), np.eye(6), atol=1e-2
+        )
+    assert 0.5 < np.mean(squares) < 12
+
+
 def test_clouds_of_about_one_size_share_a_program(scans, clouds, compilations):
     del clouds  # it has compiled the program
     compilations.clear()

@@ -14,7 +14,7 @@ from sfgs_jax.evaluation._run_folder import PosedFrames
 from sfgs_jax.geometry import Frame
 
 UNITS_PER_METRE = 1000.0
-"""Of depth images; 16 bits reach 65 m."""
+"""Units of depth images; 16 bits reach 65 m."""
 
 
 def posed_images(
