@@ -22,6 +22,8 @@ from sfgs_jax.cli._outcome import failure_of as failure_of
 from sfgs_jax.cli._outcome import scale_warning as scale_warning
 from sfgs_jax.cli._progress import Reporter as Reporter
 from sfgs_jax.cli._progress import reporting as reporting
+from sfgs_jax.cli._render import RenderArguments as RenderArguments
+from sfgs_jax.cli._render import render_command as render_command
 from sfgs_jax.cli._run import RunOptions as RunOptions
 from sfgs_jax.cli._run import run_command as run_command
 from sfgs_jax.cli._summary import summary as summary

@@ -11,8 +11,9 @@ import numpy as np
 import tyro
 from scipy.special import logit
 
-from sfgs_jax.arrays import InputError, check_range, write_atomically
+from sfgs_jax.arrays import InputError, check_counts, check_positive, check_range, write_atomically
 from sfgs_jax.cli._configuration import read_config
+from sfgs_jax.cli._mesh_export import export_mesh
 from sfgs_jax.datasets import open_recording
 from sfgs_jax.geometry import format_kitti, format_tum, read_tum
 from sfgs_jax.splatting import (
@@ -52,6 +53,14 @@ class ExportArguments:
     """Format of the file. None takes the suffix of OUT."""
     points: bool = False
     """Write the centres of the Gaussians as a coloured point cloud, for programs that know no splats."""
+    mesh: bool = False
+    """Write the surface as a coloured triangle mesh, .glb or .ply, fused from depth along the run's path."""
+    voxel: float = 0.02
+    """Side of a voxel of the mesh, metres."""
+    mesh_memory: int = 1000
+    """Most memory of the mesh's voxels, MB."""
+    mesh_part: int = 100
+    """Connected parts of the mesh with fewer triangles are left out."""
     min_opacity: float = 0.0
     """Gaussians with a lower opacity are left out, from 0 to 1."""
     spz_version: Literal[3, 4] | None = None
@@ -60,13 +69,16 @@ class ExportArguments:
     """Write the poses of a run instead of its map alone. TUM and KITTI are text files, rerun is an .rrd file.
     The folders of nerfstudio (also for instant-ngp) and COLMAP hold images and the map's points too."""
     recording: str | None = None
-    """New place of the recording, if it has moved since the run; --poses takes images and camera from it."""
+    """New place of the recording, if it has moved since the run; --poses takes images and camera from it, --mesh
+    the camera."""
     overwrite: bool = False
     """Replace OUT if it exists."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         check_range(self, 0, 1, "min_opacity")
+        check_positive(self, "voxel")
+        check_counts(self, 1, "mesh_memory", "mesh_part")
 
 
 def export_command(arguments: list[str]) -> int:
@@ -82,6 +94,17 @@ def export_command(arguments: list[str]) -> int:
     if not count:
         at_all = f" with an opacity of {options.min_opacity:g} or more" if options.min_opacity else ""
         raise InputError(f"{source} holds no Gaussian{at_all}: there is nothing to export.")
+    if options.mesh:
+        export_mesh(
+            options.source,
+            gaussians,
+            options.out,
+            recording=options.recording,
+            voxel=options.voxel,
+            max_bytes=1_000_000 * options.mesh_memory,
+            least_triangles=options.mesh_part,
+        )
+        return 0
     write(options.out, gaussians)
     size = options.out.stat().st_size
     amount = f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.1f} kB"
@@ -92,8 +115,10 @@ def export_command(arguments: list[str]) -> int:
 def _export_poses(options: ExportArguments, poses: Poses) -> int:
     """Write the poses of a run, with its images where the format has them."""
     folder, out = options.source, options.out
-    if options.points or options.format or options.spz_version or options.min_opacity:
-        raise InputError("--points, --format, --spz-version and --min-opacity are for maps, not for --poses.")
+    if options.points or options.format or options.spz_version or options.min_opacity or options.mesh:
+        raise InputError(
+            "--points, --mesh, --format, --spz-version and --min-opacity are for maps, not for --poses."
+        )
     missing = next((name for name in ("trajectory.txt", "map.ply") if not (folder / name).is_file()), None)
     if missing is not None:
         raise InputError(f"{folder} has no {missing}: give the folder that `sfgs-jax run` wrote.")
@@ -124,6 +149,9 @@ def _writer(options: ExportArguments) -> Callable[[Path, Gaussians], None]:
         InputError: the suffix names no format, or the format holds no point cloud.
     """
     name = options.format or options.out.suffix.lower().removeprefix(".")
+    if options.mesh and (name not in ("ply", "glb") or options.points):
+        kind = "a point cloud" if options.points else f".{name}"
+        raise InputError(f"A mesh is written as .ply or .glb, not as {kind}.")
     write = next((write for known, write in _WRITERS.items() if known == name), None)
     if write is None:
         suffixes = ", ".join(f".{known}" for known in _WRITERS)

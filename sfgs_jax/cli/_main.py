@@ -12,6 +12,7 @@ from sfgs_jax.cli._check import check_command
 from sfgs_jax.cli._doctor import doctor_command
 from sfgs_jax.cli._evaluate import eval_command
 from sfgs_jax.cli._export import export_command
+from sfgs_jax.cli._render import render_command
 from sfgs_jax.cli._run import run_command
 from sfgs_jax.cli._view import view_command
 
@@ -28,6 +29,7 @@ COMMANDS = {
     "run": Command(run_command, "track and map a recording"),
     "eval": Command(eval_command, "compute a run's metrics and report again"),
     "view": Command(view_command, "show a run's map in the browser"),
+    "render": Command(render_command, "draw a map along a path: images, depth or a video"),
     "export": Command(export_command, "write a map in the format of another program"),
     "doctor": Command(doctor_command, "list what the installation has and what it lacks"),
 }

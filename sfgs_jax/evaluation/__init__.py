@@ -1,7 +1,7 @@
-"""Quality of a run: trajectory and image metrics by named protocols, matching metrics, and the report page.
+"""Quality of a run: metrics of trajectory, images, matching and surface by named protocols; the report page.
 
 The function `evaluate_run` computes every metric of a run's folder; `write_report` makes its page. The rest
-are the metrics by themselves, in the packages `trajectory`, `images`, `matching` and `report`.
+are the metrics by themselves, in the packages `trajectory`, `images`, `matching`, `surface` and `report`.
 """
 
 from sfgs_jax.evaluation._evaluate_run import evaluate_run as evaluate_run
@@ -34,6 +34,10 @@ from sfgs_jax.evaluation.matching import pose_error as pose_error
 from sfgs_jax.evaluation.matching import repeatability as repeatability
 from sfgs_jax.evaluation.matching import transfer as transfer
 from sfgs_jax.evaluation.report import write_report as write_report
+from sfgs_jax.evaluation.surface import SurfaceFigures as SurfaceFigures
+from sfgs_jax.evaluation.surface import sample_triangles as sample_triangles
+from sfgs_jax.evaluation.surface import seen_points as seen_points
+from sfgs_jax.evaluation.surface import surface_figures as surface_figures
 from sfgs_jax.evaluation.trajectory import Alignment as Alignment
 from sfgs_jax.evaluation.trajectory import Ate as Ate
 from sfgs_jax.evaluation.trajectory import Nees as Nees

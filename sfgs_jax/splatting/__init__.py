@@ -12,6 +12,8 @@ from sfgs_jax.splatting._image_alignment import ImageAlignment as ImageAlignment
 from sfgs_jax.splatting._image_alignment import align_image as align_image
 from sfgs_jax.splatting._losses import l1 as l1
 from sfgs_jax.splatting._losses import ssim as ssim
+from sfgs_jax.splatting._normals import camera_normals as camera_normals
+from sfgs_jax.splatting._normals import unit_normals as unit_normals
 from sfgs_jax.splatting._projection import Projected as Projected
 from sfgs_jax.splatting._projection import project as project
 from sfgs_jax.splatting._rasterization import Raster as Raster

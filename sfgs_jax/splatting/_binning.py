@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import prefix_sums
-from sfgs_jax.splatting._projection import MIN_ALPHA, Projected
+from sfgs_jax.splatting._projection import Projected
 from sfgs_jax.splatting._sorting import sort_by_tile_and_depth
+from sfgs_jax.splatting._thresholds import MIN_ALPHA
 
 _SLACK = 1e-4
 """Added to the ellipse's squared radius (of 0 to 11), so that rounding drops no tile that is needed."""

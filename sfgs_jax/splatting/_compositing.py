@@ -34,7 +34,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from sfgs_jax.arrays import stable_argsort
 from sfgs_jax.splatting._binning import TileLists, tile_grid
-from sfgs_jax.splatting._projection import MIN_ALPHA
+from sfgs_jax.splatting._thresholds import MIN_ALPHA
 
 MAX_ALPHA = 0.99
 """No Gaussian is more opaque than this."""

@@ -30,6 +30,10 @@ class RenderConfig:
     """Compensate the low-pass filter, which widens small images, by a lower opacity (Mip-Splatting). A map
     then looks alike from near and far."""
 
+    surface_depth: bool = False
+    """Draw depth where each pixel's ray meets the surfaces too; the other depths are those of the centres. It
+    takes three more channels."""
+
     def __post_init__(self) -> None:
         if self.tile_size < 1 or self.pair_capacity < 1 or not 0 < self.near < self.far:
             raise InputError(f"{self}: tile_size and pair_capacity must be positive, and 0 < near < far.")

@@ -33,12 +33,8 @@ from sfgs_jax.sensors import RollingShutter, carried, row_places
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._spherical_harmonics import sh_colours
-
-LOW_PASS = 0.3
-"""Variance added to both axes of every image, pixels²: no Gaussian falls between pixels."""
-
-MIN_ALPHA = 1 / 255
-"""Contributions below this are skipped."""
+from sfgs_jax.splatting._surface_depth import slopes_of_inverse_depth
+from sfgs_jax.splatting._thresholds import LOW_PASS, MIN_ALPHA
 
 _VIEW_MARGIN = 0.3
 """Share of the image's half size. J is taken no farther outside the image, where the linearisation fails."""
@@ -56,6 +52,8 @@ class Projected(eqx.Module):
         log_opacities: (N,) logarithms of the opacities.
         depths: (N,) depths of the centres along z, metres.
         visible: (N,) which Gaussians are drawn; the other lanes hold finite values.
+        inverse_depth_slopes: (N, 2) change of inverse depth along u and v on the surface that the Gaussian
+            stands for, 1 / (metres pixels). None if the settings do not ask for it.
     """
 
     centres: Float[Array, "n 2"]
@@ -63,6 +61,7 @@ class Projected(eqx.Module):
     log_opacities: Float[Array, " n"]
     depths: Float[Array, " n"]
     visible: Bool[Array, " n"]
+    inverse_depth_slopes: Float[Array, "n 2"] | None = None
 
 
 def project(
@@ -85,7 +84,8 @@ def project(
         T_world_cam: pose of the camera, `jaxlie.SE3` or a homogeneous 4 x 4 matrix.
         shutter: its motion while the rows are exposed, then the pose is that of the middle row; None for an
             image taken at once.
-        config: settings, static; only `near`, `far` and `antialiased` have an influence.
+        config: settings, static; only `near`, `far`, `antialiased` and `surface_depth` have an
+            influence.
 
     Returns:
         The images, and the RGB (N, 3) of the spherical harmonics.
@@ -120,13 +120,14 @@ def _project(
         sh=gaussians.sh,
     )
     mapped: tuple[tuple, Array] = map_used_rows(of_rows, rows, gaussians.valid, view)
-    (centres, whitening, log_opacities, depths, rgb), visible = mapped
+    (centres, whitening, log_opacities, depths, rgb, slopes), visible = mapped
     projected = Projected(
         centres=jnp.stack(centres, axis=-1),
         whitening=jnp.stack(whitening, axis=-1),
         log_opacities=log_opacities,
         depths=depths,
         visible=visible,
+        inverse_depth_slopes=jnp.stack(slopes, axis=-1) if slopes else None,
     )
     return projected, rgb
 
@@ -151,8 +152,8 @@ def _project_rows(
     T_world_cam: jaxlie.SE3,
     shutter: RollingShutter | None,
     config: RenderConfig,
-) -> tuple[tuple[list[Array], list[Array], Array, Array, Array], Bool[Array, " n"]]:
-    """Centres, whitening, logarithms of the opacities, depths and RGB; then the mask of the visible."""
+) -> tuple[tuple[list[Array], list[Array], Array, Array, Array, list[Array]], Bool[Array, " n"]]:
+    """Centres, whitening, logarithms of the opacities, depths, RGB and slopes; the mask of the visible."""
     R_cam_world = se3.rotation_matrix(T_world_cam).T
     # Relative to the camera before anything else: far from the origin float32 has no digits to spare.
     origin = T_world_cam.wxyz_xyz[4:]
@@ -171,7 +172,8 @@ def _project_rows(
     if shutter is not None:
         x, y, z = _when_exposed(x, y, z, camera, shutter)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    m1, m2 = _image_axes(x, y, z, quaternion, scale, camera, R_cam_world)
+    axes = rotation_columns(quaternion)
+    m1, m2 = _image_axes(x, y, z, axes, scale, camera, R_cam_world)
 
     raw_uu, raw_vv, uv = dot(m1, m1), dot(m2, m2), dot(m1, m2)
     minors = [m1[i] * m2[j] - m1[j] * m2[i] for i, j in ((0, 1), (1, 2), (2, 0))]
@@ -195,7 +197,12 @@ def _project_rows(
     ]
     visible = used & (reach >= 0) & inside[0] & inside[1]
     whitening = [p, -p * uv / vv, 1 / jnp.sqrt(vv)]
-    return ([u, v], whitening, log_opacities, z, sh_colours(sh, jnp.stack(offset, axis=-1))), visible
+    slopes: list[Array] = []
+    if config.surface_depth:
+        m3 = [dot(R_cam_world[2], axis) * s for axis, s in zip(axes, scale, strict=True)]
+        slopes = slopes_of_inverse_depth(m1, m2, m3, z)
+    rgb = sh_colours(sh, jnp.stack(offset, axis=-1))
+    return ([u, v], whitening, log_opacities, z, rgb, slopes), visible
 
 
 def _when_exposed(
@@ -220,7 +227,7 @@ def _image_axes(
     x: Float[Array, " n"],
     y: Float[Array, " n"],
     z: Float[Array, " n"],
-    quaternion: list[Array],
+    axes: list[list[Array]],
     scale: list[Array],
     camera: Camera,
     R_cam_world: Float[Array, "3 3"],
@@ -243,7 +250,6 @@ def _image_axes(
     # The rows of J times the rotation to camera axes.
     j1 = [camera.fx / z * (right[i] - slope_u * forward[i]) for i in range(3)]
     j2 = [camera.fy / z * (down[i] - slope_v * forward[i]) for i in range(3)]
-    axes = _rotation_columns(quaternion)
     m1 = [dot(j1, axis) * s for axis, s in zip(axes, scale, strict=True)]
     m2 = [dot(j2, axis) * s for axis, s in zip(axes, scale, strict=True)]
     return m1, m2
@@ -262,7 +268,7 @@ def _computable(rows: _Rows, camera: Camera, z: Float[Array, " n"]) -> Bool[Arra
     )
 
 
-def _rotation_columns(quaternion: list[Array]) -> list[list[Array]]:
+def rotation_columns(quaternion: list[Array]) -> list[list[Array]]:
     """Columns of the rotation matrices of quaternions wxyz of any length; a zero one does not rotate."""
     # The length has no influence. Taken out as a constant, it lets nothing over- or underflow.
     largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, quaternion)))

@@ -15,6 +15,7 @@ from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._projection import project
 from sfgs_jax.splatting._rasterization import rasterize, require_rows, with_a_free_slot
+from sfgs_jax.splatting._surface_depth import surface_depth_of, surface_features
 
 
 class RenderOutput(eqx.Module):
@@ -31,6 +32,9 @@ class RenderOutput(eqx.Module):
         features: (H, W, C) sum of weights times features, without a background; None if none were given.
         overflow: number of (tile, Gaussian) pairs that found no room, 0 when the images are complete; the
             function `pair_capacity` tells how much room a view needs.
+        surface_depth: (H, W) depth along z where the pixel's ray meets the surfaces, metres. It is the
+            weighted harmonic mean of the Gaussians' depths at the pixel, 0 where alpha is 0. On a plane of
+            flat Gaussians it is the plane's depth. None unless the settings ask for it.
     """
 
     rgb: Float[Array, "h w 3"]
@@ -40,6 +44,7 @@ class RenderOutput(eqx.Module):
     alpha: Float[Array, "h w"]
     features: Float[Array, "h w c"] | None
     overflow: Int[Array, ""]
+    surface_depth: Float[Array, "h w"] | None = None
 
 
 def render(
@@ -111,9 +116,14 @@ def _render(
 ) -> RenderOutput:
     projected, rgb = project(gaussians, camera, T_world_cam, shutter, config=config)
     columns = [rgb if colours is None else colours, projected.depths[:, None]]
+    slopes, middle = projected.inverse_depth_slopes, ((camera.width - 1) / 2, (camera.height - 1) / 2)
+    if features is not None:
+        columns.append(features)
+    if slopes is not None:
+        columns.append(surface_features(projected.centres, projected.depths, slopes, middle))
     raster = rasterize(
         projected,
-        jnp.concatenate(columns if features is None else [*columns, features], axis=-1),
+        jnp.concatenate(columns, axis=-1),
         width=camera.width,
         height=camera.height,
         config=config,
@@ -128,6 +138,9 @@ def _render(
         median_depth=jnp.where(raster.median >= 0, projected.depths[jnp.maximum(raster.median, 0)], 0),
         accumulated_depth=accumulated,
         alpha=alpha,
-        features=None if features is None else raster.accumulated[..., 4:],
+        features=None if features is None else raster.accumulated[..., 4 : 4 + features.shape[1]],
         overflow=raster.overflow,
+        surface_depth=None
+        if slopes is None
+        else surface_depth_of(raster.accumulated[..., -3:], alpha, middle),
     )

@@ -13,8 +13,9 @@ from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.splatting._compositing import MAX_ALPHA, MIN_TRANSMITTANCE
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians
-from sfgs_jax.splatting._projection import LOW_PASS, MIN_ALPHA
 from sfgs_jax.splatting._rendering import RenderOutput
+from sfgs_jax.splatting._surface_depth import FARTHEST, SOFTENING
+from sfgs_jax.splatting._thresholds import LOW_PASS, MIN_ALPHA
 
 
 def render(
@@ -47,9 +48,9 @@ def _render(
     config: RenderConfig,
 ) -> RenderOutput:
     view = jax.vmap(lambda g: _view(g, camera, T_world_cam, config))(gaussians)
-    centre, whitening, opacity, colour, depth, drawn = view
+    centre, whitening, opacity, colour, depth, slope, drawn = view
     order = jnp.argsort(jnp.where(drawn, depth.astype(jnp.float32), jnp.inf), stable=True)
-    centre, whitening, opacity, colour, depth, drawn = (value[order] for value in view)
+    centre, whitening, opacity, colour, depth, slope, drawn = (value[order] for value in view)
 
     def given(values: Array) -> Array:
         return jnp.where(drawn[:, None], values[order], 0)
@@ -66,9 +67,10 @@ def _render(
         weight = jnp.where(after >= MIN_TRANSMITTANCE, before * alpha, 0)
         half = jnp.argmax(after <= 0.5)
         median = jnp.where(after[half] <= 0.5, depth[half], 0)
-        return weight @ colour, weight @ depth, median, jnp.sum(weight), weight @ channels
+        inverse = weight @ (1 / depth + jnp.sum(slope * d, axis=-1))
+        return weight @ colour, weight @ depth, median, jnp.sum(weight), weight @ channels, inverse
 
-    rgb, accumulated, median, alpha, drawn_features = jax.vmap(jax.vmap(pixel))(
+    rgb, accumulated, median, alpha, drawn_features, inverse = jax.vmap(jax.vmap(pixel))(
         camera.pixels().astype(depth.dtype)
     )
     if background is not None:
@@ -81,17 +83,20 @@ def _render(
         alpha=alpha,
         features=None if features is None else drawn_features,
         overflow=jnp.int32(0),
+        surface_depth=jnp.where(alpha > 0, alpha / jnp.where(alpha > 0, inverse, 1), 0)
+        if config.surface_depth
+        else None,
     )
 
 
 def _view(
     gaussian: Gaussians, camera: Camera, T_world_cam: jaxlie.SE3, config: RenderConfig
-) -> tuple[Array, Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
     """Image of one Gaussian.
 
     Returns:
         Centre (2,), inverse Cholesky factor (2, 2) of the image's covariance, opacity, colour (3,), depth,
-        and whether it is drawn.
+        slope (2,) of inverse depth, and whether it is drawn.
     """
     R_world_cam = se3.rotation_matrix(T_world_cam)
     offset = gaussian.means - T_world_cam.wxyz_xyz[4:]
@@ -118,7 +123,8 @@ def _view(
             jnp.stack([zero, camera.fy / z, -camera.fy * ty / z**2]),
         ]
     )
-    M = J @ R_world_cam.T @ _rotation(quaternion) * scale[None]
+    axes = R_world_cam.T @ _rotation(quaternion) * scale[None]
+    M = J @ axes
     (a, b), (_, c) = M @ M.T + LOW_PASS * jnp.eye(2, dtype=z.dtype)
     # det (M Mᵀ) = |m₁ x m₂|² (Cauchy-Binet). For a needle a c - b² would be rounding alone.
     sharp = jnp.sum(jnp.cross(M[0], M[1]) ** 2)
@@ -129,7 +135,21 @@ def _view(
     # Inverse of the covariance's Cholesky factor [[√a, 0], [b / √a, √(det / a)]].
     whitening = jnp.stack([jnp.stack([zero + 1, zero]), jnp.stack([-b, a]) / jnp.sqrt(blurred)]) / jnp.sqrt(a)
     centre = jnp.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
-    return centre, whitening, opacity, _colour(sh, offset), z, drawn
+    return centre, whitening, opacity, _colour(sh, offset), z, _slope(M, axes[2], z), drawn
+
+
+def _slope(M: Float[Array, "2 3"], along_z: Float[Array, "3"], z: Float[Array, ""]) -> Float[Array, "2"]:
+    """Slope of inverse depth: its regression on the pixel, limited as in `_surface_depth.py`."""
+    u, v = M
+    normal = jnp.cross(u, v)
+    blurred = normal @ normal + SOFTENING * (u @ u + v @ v + SOFTENING)
+    by_image = jnp.stack([jnp.cross(along_z, v) @ normal, jnp.cross(u, along_z) @ normal])
+    slope = -(by_image + SOFTENING * M @ along_z) / (blurred * z**2)
+    covariance = M @ M.T + LOW_PASS * jnp.eye(2, dtype=z.dtype)
+    # The image reaches to where the exponential falls to 1/255.
+    change = slope @ covariance @ slope * 2 * jnp.log(1 / MIN_ALPHA)
+    limit = jnp.minimum(0.5 / z, FARTHEST * jnp.sqrt(along_z @ along_z) / z**2) ** 2
+    return slope * jnp.sqrt(jnp.where(change > limit, limit / jnp.where(change > limit, change, 1), 1))
 
 
 def _rotation(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:

@@ -14,6 +14,7 @@ from sfgs_jax.cli import (
     CheckArguments,
     EvalArguments,
     ExportArguments,
+    RenderArguments,
     RunOptions,
     ViewArguments,
 )
@@ -33,7 +34,7 @@ def section(title: str) -> str:
     return GUIDE.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
-@pytest.mark.parametrize("command", ["check", "run", "eval", "view", "export"])
+@pytest.mark.parametrize("command", ["check", "run", "eval", "view", "render", "export"])
 def test_every_option_it_names_exists(command, capsys):
     # A group of options is written --reader.*
     named = set(re.findall(r"(--[a-z][a-z.-]*[a-z])(?![a-z.-]*\.\*)", section(command)))
@@ -48,6 +49,7 @@ def test_every_option_it_names_exists(command, capsys):
         ("run", RunOptions),
         ("eval", EvalArguments),
         ("view", ViewArguments),
+        ("render", RenderArguments),
         ("export", ExportArguments),
     ],
 )

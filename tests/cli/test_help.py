@@ -16,6 +16,7 @@ from sfgs_jax.cli import (
     DoctorArguments,
     EvalArguments,
     ExportArguments,
+    RenderArguments,
     RunOptions,
     ViewArguments,
     main,
@@ -26,10 +27,17 @@ SETTINGS = {
     "run": RunOptions,
     "eval": EvalArguments,
     "view": ViewArguments,
+    "render": RenderArguments,
     "export": ExportArguments,
     "doctor": DoctorArguments,
 }
-POSITIONAL = {"check": {"source"}, "eval": {"folder"}, "view": {"path"}, "export": {"source", "out"}}
+POSITIONAL = {
+    "check": {"source"},
+    "eval": {"folder"},
+    "view": {"path"},
+    "render": {"path"},
+    "export": {"source", "out"},
+}
 """Arguments without a name on the command line."""
 
 CONTINUES = re.compile(r"(and|or|nor|but|which|whose|who|what|of|where|those)\b", re.IGNORECASE)

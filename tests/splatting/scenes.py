@@ -13,7 +13,8 @@ from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, Gaussians, RenderConfig, ref
 
 WIDTH, HEIGHT, N = 37, 29, 60
 CONFIG = RenderConfig(pair_capacity=4096)
-ANTIALIASED = replace(CONFIG, antialiased=True)
+ANTIALIASED = replace(CONFIG, antialiased=True, surface_depth=True)
+"""Everything that is drawn on request only."""
 EXACT = {"xla_backend_optimization_level": "1"}
 """Level 0, which `make test` sets, costs float64 its last digits."""
 
@@ -45,6 +46,8 @@ def make_pose(dtype=jnp.float32):
 def images_of(out) -> jax.Array:
     """Every image of a rendering, as the channels of one."""
     single = [out.depth, out.median_depth, out.alpha, out.accumulated_depth]
+    if out.surface_depth is not None:
+        single.append(out.surface_depth)
     images = [out.rgb, *(image[..., None] for image in single)]
     return jnp.concatenate(images if out.features is None else [*images, out.features], axis=-1)
 
