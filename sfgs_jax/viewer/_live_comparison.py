@@ -28,6 +28,10 @@ _TILE_WIDTH = 320
 _FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.55
 
 
+_MAX_WIDTH = 320
+"""Largest width of the compared images, pixels."""
+
+
 @dataclass(frozen=True)
 class Comparison:
     """A frame beside the map's render of it.
@@ -42,7 +46,7 @@ class Comparison:
 
 
 def compare(state: SlamState, frame: Frame) -> Comparison:
-    """Render the map at the newest pose, in the size that mapping renders with while frames are tracked.
+    """Render the map at the newest pose, in a size that the page has room for.
 
     A map that has grown, or needs more room for pairs, compiles anew.
 
@@ -50,8 +54,8 @@ def compare(state: SlamState, frame: Frame) -> Comparison:
         state: with the frame as its newest, and at least one tracked frame.
         frame: the frame.
     """
-    gains, config = state.gains, state.config.mapping
-    factor = max(1, -(-state.camera.width // config.live_max_width))
+    gains = state.gains
+    factor = max(1, -(-state.camera.width // _MAX_WIDTH))
     compared = _compared(
         state.gaussians,
         state.camera.downscaled(factor),

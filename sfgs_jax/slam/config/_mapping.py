@@ -10,15 +10,15 @@ from sfgs_jax.arrays import InputError, check_counts, check_positive, check_rang
 class LearningRates:
     """Adam's learning rate for each parameter of the Gaussians."""
 
-    means: float = 1.6e-3
+    means: float = 1e-3
     """Learning rate of the means, metres."""
-    quaternions: float = 1.6e-2
+    quaternions: float = 1e-2
     """Learning rate of the unnormalised quaternions."""
-    log_scales: float = 4e-2
+    log_scales: float = 2.5e-2
     """Learning rate of the logarithms of the scales."""
-    opacity_logits: float = 0.16
+    opacity_logits: float = 0.1
     """Learning rate of the opacities before the sigmoid."""
-    sh: float = 0.08
+    sh: float = 0.05
     """Learning rate of the spherical-harmonics coefficients."""
 
     def __post_init__(self) -> None:
