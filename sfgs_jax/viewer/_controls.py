@@ -164,8 +164,8 @@ class ReplayControls:
             "Enlarged", tuple(map(str, ENLARGEMENTS)), initial_value=str(path.enlargement), visible=False
         )
         explained = gui.add_markdown(
-            "Ellipsoids of three standard deviations, times the factor above. Without it, half of them are "
-            f"longer than {3000 * path.median_sigma:.1f} mm.",
+            "Ellipsoids of three standard deviations, times the factor above. Without it, half of them "
+            f"reach farther than {3000 * path.median_sigma:.1f} mm.",
             visible=False,
         )
 
