@@ -335,7 +335,7 @@ def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):
     state, mapping, losses = refined
     views = len(state.mapping.views)
     assert mapping.num_steps == state.mapping.num_steps + 48
-    assert np.mean(losses[-views:]) < 0.6 * np.mean(losses[:views])
+    assert np.mean(losses[-views:]) < 0.7 * np.mean(losses[:views])
     config = state.config.mapping
     first, last = (
         refine_once(mapping, state.mapping_camera, config, number=48, done=done, seed=0)[0]
