@@ -108,8 +108,8 @@ class MappingConfig:
     steps_per_view: int = 1
     """Map steps on a new view. The first comes before Gaussians are set where they are missing."""
     max_view_shift: float = 0.15
-    """Shift of the image since the last view, as a share of its width, with which a frame becomes a view
-    before the interval is over."""
+    """Shift of the image since the last view with which a frame becomes a view at once, as a share of its
+    width."""
     final_steps: int = 1000
     """Map steps over all views after the last frame: the refinement."""
     final_seconds: float = 0.0
