@@ -108,7 +108,7 @@ class MappingConfig:
     steps_per_view: int = 1
     """Map steps on a new view. The first comes before Gaussians are set where they are missing."""
     max_view_shift: float = 0.15
-    """Shift of the image since the last view, as a share of its width, with which a frame becomes a view
+    """Shift of the image since the last view, as a share of its width, that makes a frame a view
     before the interval is over."""
     final_steps: int = 1000
     """Map steps over all views after the last frame: the refinement."""
