@@ -69,8 +69,8 @@ class ExportArguments:
     """Write the poses of a run instead of its map alone. TUM and KITTI are text files, rerun is an .rrd file.
     The folders of nerfstudio (also for instant-ngp) and COLMAP hold images and the map's points too."""
     recording: str | None = None
-    """New place of the recording, if it has moved. --poses takes images and camera from it, --mesh
-    the camera."""
+    """New place of the recording, if it has moved since the run. The options --poses and --mesh read its
+    camera, and --poses its images."""
     overwrite: bool = False
     """Replace OUT if it exists."""
 
