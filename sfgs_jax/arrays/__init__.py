@@ -6,6 +6,7 @@ Each file holds one idiom and the reason for it.
 from sfgs_jax.arrays._arguments import described as described
 from sfgs_jax.arrays._arguments import is_array as is_array
 from sfgs_jax.arrays._arguments import is_floating as is_floating
+from sfgs_jax.arrays._atomic_files import remove_unfinished as remove_unfinished
 from sfgs_jax.arrays._atomic_files import write_atomically as write_atomically
 from sfgs_jax.arrays._blockwise_vjp import map_used_rows as map_used_rows
 from sfgs_jax.arrays._capacities import bucket as bucket
@@ -17,6 +18,7 @@ from sfgs_jax.arrays._compilation_cache import enable_cache as enable_cache
 from sfgs_jax.arrays._eigenpair import smallest_eigenpair as smallest_eigenpair
 from sfgs_jax.arrays._errors import FrameError as FrameError
 from sfgs_jax.arrays._errors import InputError as InputError
+from sfgs_jax.arrays._excerpts import excerpt as excerpt
 from sfgs_jax.arrays._prefix_sums import prefix_sums as prefix_sums
 from sfgs_jax.arrays._printing import Text as Text
 from sfgs_jax.arrays._printing import is_known as is_known

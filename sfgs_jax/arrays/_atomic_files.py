@@ -1,8 +1,14 @@
 """Files that are either whole or not there."""
 
+import contextlib
 import os
+import re
 import tempfile
+from fnmatch import fnmatchcase
 from pathlib import Path
+
+_TEMPORARY = re.compile(r"\.(.+)\.[a-z0-9_]{8}")
+"""Names of the temporary files, as `tempfile.mkstemp` makes them."""
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> None:
@@ -24,5 +30,23 @@ def write_atomically(path: Path | str, content: bytes | str) -> None:
         os.chmod(name, 0o644)
         os.replace(name, path)
     except BaseException:
-        os.unlink(name)
+        with contextlib.suppress(OSError):
+            os.unlink(name)
         raise
+
+
+def remove_unfinished(folder: Path | str, *names: str) -> None:
+    """Remove the temporary files that a killed process has left beside the files that it wrote.
+
+    Args:
+        folder: where it wrote; one that is not there holds none.
+        names: of the files that it wrote, `*` for any characters.
+
+    Raises:
+        OSError: a file can't be removed.
+    """
+    folder = Path(folder)
+    for path in folder.iterdir() if folder.is_dir() else ():
+        found = _TEMPORARY.fullmatch(path.name)
+        if found and any(fnmatchcase(found[1], name) for name in names) and path.is_file():
+            path.unlink()

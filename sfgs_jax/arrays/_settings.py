@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from sfgs_jax.arrays._errors import InputError
+from sfgs_jax.arrays._excerpts import excerpt
 
 
 def check_counts(settings: Any, least: int, *names: str) -> None:
@@ -20,26 +21,28 @@ def check_counts(settings: Any, least: int, *names: str) -> None:
     for name in names:
         value = getattr(settings, name)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise InputError(f"The setting {name} must be a whole number of at least {least}, not {value!r}.")
+            raise InputError(
+                f"The setting {name} must be a whole number of at least {least}, not {excerpt(value)}."
+            )
 
 
 def check_range(settings: Any, low: float | int, high: float | int, *names: str) -> None:
-    """Refuse settings that are no number within [low, high].
+    """Refuse settings that are no finite number within [low, high].
 
     Args:
         settings: the dataclass that holds them.
         low: smallest value allowed.
-        high: largest value allowed.
+        high: largest value allowed; infinity allows every finite number.
         names: the settings to check.
 
     Raises:
-        InputError: one of them lies outside, is NaN or no number.
+        InputError: one of them lies outside, is not finite or no number.
     """
     for name in names:
         value = getattr(settings, name)
-        if not _is_number(value) or not low <= value <= high:
+        if not _is_number(value) or not (low <= value <= high and math.isfinite(value)):
             bounds = f"of at least {low:g}" if math.isinf(high) else f"between {low:g} and {high:g}"
-            raise InputError(f"The setting {name} must be a number {bounds}, not {value!r}.")
+            raise InputError(f"The setting {name} must be a number {bounds}, not {excerpt(value)}.")
 
 
 def check_positive(settings: Any, *names: str) -> None:
@@ -55,7 +58,7 @@ def check_positive(settings: Any, *names: str) -> None:
     for name in names:
         value = getattr(settings, name)
         if not _is_number(value) or not 0 < value < math.inf:
-            raise InputError(f"The setting {name} must be a finite number above 0, not {value!r}.")
+            raise InputError(f"The setting {name} must be a finite number above 0, not {excerpt(value)}.")
 
 
 def check_choice(settings: Any, name: str, choices: tuple[str, ...]) -> None:
@@ -71,7 +74,7 @@ def check_choice(settings: Any, name: str, choices: tuple[str, ...]) -> None:
     """
     value = getattr(settings, name)
     if value not in choices:
-        raise InputError(f"The setting {name} must be one of {', '.join(choices)}, not {value!r}.")
+        raise InputError(f"The setting {name} must be one of {', '.join(choices)}, not {excerpt(value)}.")
 
 
 def _is_number(value: object) -> bool:

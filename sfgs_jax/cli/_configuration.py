@@ -7,7 +7,7 @@ import typing
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets import ReaderOptions
 from sfgs_jax.slam import SlamConfig
 
@@ -47,37 +47,43 @@ def from_json(text: str, name: str) -> RunConfig:
     """
     try:
         data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{name} is not JSON ({error}).") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name} is not JSON ({excerpt(error)}).") from error
     return _build(RunConfig, data, name)
 
 
 def read_config(path: Path) -> RunConfig:
     """The configuration in a file. Raises InputError as `from_json` does, or if the file can't be read."""
     try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"Cannot read the configuration {path}: {reason}.") from error
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read the configuration {path}: {excerpt(error)}.") from error
     return from_json(text, str(path))
 
 
 def _build(kind: type[_T], data: Any, name: str) -> _T:
     """A dataclass from the dictionary that `dataclasses.asdict` made of one."""
     if not isinstance(data, dict):
-        raise InputError(f"{name} must hold settings by name, not {data!r}.")
+        raise InputError(f"{name} must hold settings by name, not {excerpt(data)}.")
     hints = typing.get_type_hints(kind)
     known = {field.name for field in dataclasses.fields(typing.cast(Any, kind))}
     unknown = sorted(set(data) - known)
     if unknown:
-        raise InputError(f"{name} has a setting {unknown[0]!r} that this version does not know.")
+        raise InputError(f"{name} has a setting {excerpt(unknown[0])} that this version does not know.")
     values = {key: _convert(hints[key], value, f"{name}: {key}") for key, value in data.items()}
     try:
         return kind(**values)
     except TypeError as error:
-        raise InputError(f"{name} lacks a setting ({error}).") from error
+        raise InputError(f"{name} lacks a setting ({excerpt(error)}).") from error
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
+
+
+def _float(value: float | int, name: str) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{name} cannot be {excerpt(value)}.") from None
 
 
 def _convert(hint: Any, value: Any, name: str) -> Any:
@@ -94,7 +100,7 @@ def _convert(hint: Any, value: Any, name: str) -> Any:
         if option is Path and isinstance(value, str):
             return Path(value)
         if option is float and isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
+            return _float(value, name)
         if isinstance(option, type) and type(value) is option:
             return value
-    raise InputError(f"{name} cannot be {value!r}.")
+    raise InputError(f"{name} cannot be {excerpt(value)}.")

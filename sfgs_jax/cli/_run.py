@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 import sys
 import tempfile
@@ -35,6 +36,7 @@ from sfgs_jax.slam import (
     combined,
     load_run,
     prepare_folder,
+    resume_folder,
     run,
     write_run,
 )
@@ -135,6 +137,8 @@ class RunOptions:
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         check_range(self, 1, 65535, "view_port")
+        if self.refine is not None:
+            check_range(self, 0, math.inf, "refine")
 
 
 def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
@@ -225,13 +229,12 @@ def _resumed(folder: Path, config: RunConfig, camera: Camera) -> Run:
     Raises:
         InputError: there is none, or it had other settings or another camera.
     """
-    if not (folder / STORAGE).is_dir():
-        raise InputError(f"{folder} holds no run that could be resumed: it has ended, or never began.")
+    storage = resume_folder(folder)
     if to_json(read_config(folder / "config.json")) != to_json(config):
         raise InputError(
             f"The run in {folder} was started with other settings; pass --config {folder / 'config.json'}."
         )
-    return load_run(folder / STORAGE, config.slam, camera)
+    return load_run(storage, config.slam, camera)
 
 
 def _run(
@@ -269,15 +272,14 @@ def _run(
             )
         except TooManySkipped as error:
             failure, result = error, error.run
-    if result.interrupted and not options.realtime:
-        observer.keep(result)
+    kept = result.interrupted and not options.realtime and observer.keep(result)
     written = _save(result, config, folder)
     if view is not None:
         view.finish(result, f"Results: {written}")
     if failure is not None:
         logger.error("%s", failure)
     if result.interrupted:
-        _say_interrupted(result, written, can_resume=not options.realtime)
+        _say_interrupted(result, written, can_resume=kept and written == folder)
         return _INTERRUPTED
     if not len(result.trajectory):
         raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")

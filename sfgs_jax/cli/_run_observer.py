@@ -32,6 +32,7 @@ class RunObserver:
         self._report, self._recording, self._folder = report, recording, folder
         self._keep_state = keep_state
         self._error = ""
+        self._said_storage_failure = False
         self._start: tuple[int, float] | None = None
 
     def begin(self, first: int) -> None:
@@ -60,17 +61,27 @@ class RunObserver:
         else:
             self._report(_STEPS, progress.done, config.final_steps)
 
-    def keep(self, run: Run) -> None:
-        """Write the results so far; a failure to write does not end the run."""
+    def keep(self, run: Run) -> bool:
+        """Write the results so far; a failure to write does not end the run.
+
+        Returns:
+            Whether `--resume` can go on from here.
+        """
         try:
             write_trajectories(run, self._folder)
             if self._keep_state:
                 save_run(run, self._folder / STORAGE)
         except OSError as error:
             logger.warning("the results so far could not be written: %s", error)
+            return False
+        return self._keep_state
 
     def _log(self, progress: Progress) -> None:
         number, info = progress.run.num_frames - 1, progress.info
+        failure = progress.run.storage_failure
+        if failure and not self._said_storage_failure:
+            self._said_storage_failure = True
+            logger.warning("images of old views stay in memory, for they could not be written: %s", failure)
         if progress.skipped is not None:
             logger.warning("frame %d skipped: %s", number, progress.skipped)
         elif info is not None and not info.tracked:

@@ -31,7 +31,11 @@ class ReaderOptions:
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         check_range(self, 0, math.inf, "association_limit")
-        given = [name for name in ("depth_scale", "max_depth") if getattr(self, name) is not None]
-        check_positive(self, *given)
+        if self.depth_scale is not None:
+            check_range(self, 1e-6, 1e9, "depth_scale")
+        if self.max_depth is not None:
+            check_positive(self, "max_depth")
         check_counts(self, 1, "stride")
-        check_counts(self, 0, "min_confidence")
+        check_counts(self, 0, "min_confidence", "start")
+        if self.end is not None:
+            check_counts(self, 0, "end")

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, write_atomically
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.datasets.files import depth_units
 from sfgs_jax.geometry import Camera, Frame, Trajectory, format_tum
@@ -50,7 +50,7 @@ def write_recording(recording: Recording, path: str | Path, *, layout: Layout) -
             case _:
                 assert_never(layout)
     except OSError as error:
-        raise InputError(f"Cannot write to {path}: {error}.") from error
+        raise InputError(f"Cannot write to {path}: {excerpt(error)}.") from error
 
 
 def _write_tum(recording: Recording, path: Path) -> None:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets import Recording, associate
 from sfgs_jax.geometry import Trajectory, read_tum, se3
 from sfgs_jax.sensors import (
@@ -72,7 +72,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+        raise InputError(f"Cannot read {path}: {excerpt(error)}.") from error
     if not isinstance(content, dict):
         raise InputError(f"{path} holds no JSON object: it is not a file that a run wrote.")
     return content

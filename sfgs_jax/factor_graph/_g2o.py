@@ -1,5 +1,6 @@
 """Pose graphs in g2o's text format: SE3 vertices and edges between them."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,13 +9,16 @@ import jaxlie
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, write_atomically
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.factors._pose_factors import RelativePose
 from sfgs_jax.factor_graph.start._spanning_tree import spanning_tree_start
 
 _VERTEX, _EDGE, _FIX = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "FIX"
 _UPPER = np.triu_indices(6)
+# Beyond it float32 ends soon.
+_LARGEST = 1e30
+_LEAST_QUATERNION = 1e-15
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,8 @@ def read_g2o(path: Path | str) -> PoseGraph:
     near a solution. A file without vertices gets its poses from `spanning_tree_start`.
 
     Raises:
-        InputError: a line of another kind, or one that can't be read; a pose that is missing.
+        InputError: a line of another kind, or one that can't be read; a pose that is missing; an information
+            matrix with a negative eigenvalue.
         OSError: the file can't be read.
     """
     lines = _read_lines(path)
@@ -58,6 +63,7 @@ def read_g2o(path: Path | str) -> PoseGraph:
     information = np.zeros((len(rows), 6, 6))
     information[:, _UPPER[0], _UPPER[1]] = rows[:, 7:]
     information[:, _UPPER[1], _UPPER[0]] = rows[:, 7:]
+    _require_information(information, lines, path)
     half = np.array([1, 1, 1, 0.5, 0.5, 0.5])
     measured = RelativePose(
         np.searchsorted(vertices, np.array(lines.ends, np.int64).reshape(-1, 2)),
@@ -99,16 +105,17 @@ def write_g2o(path: Path | str, graph: PoseGraph) -> None:
 
 @dataclass
 class _Lines:
-    """Numbers of a file's lines: poses by vertex, ends and rows of edges, fixed vertices."""
+    """Numbers of a file's lines: poses by vertex, ends, rows and lines of edges, fixed vertices."""
 
     poses: dict[int, list[float]]
     ends: list[tuple[int, int]]
     edges: list[list[float]]
+    numbers: list[int]
     fixed: set[int]
 
 
 def _read_lines(path: Path | str) -> _Lines:
-    lines = _Lines({}, [], [], set())
+    lines = _Lines({}, [], [], [], set())
     # Bytes that are no text end in a line of an unknown kind.
     with open(path, encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, start=1):
@@ -116,28 +123,52 @@ def _read_lines(path: Path | str) -> _Lines:
             where = f"line {number} of {path}"
             try:
                 if tag == _VERTEX:
-                    if int(words[0]) in lines.poses:
-                        raise InputError(f"Cannot read {where}: vertex {words[0]} is there already.")
-                    lines.poses[int(words[0])] = _numbers(words[1:], 7)
+                    if _whole(words[0]) in lines.poses:
+                        raise InputError(f"Cannot read {where}: vertex {excerpt(words[0])} is there already.")
+                    lines.poses[_whole(words[0])] = _numbers(words[1:], 7)
                 elif tag == _EDGE:
-                    lines.ends.append((int(words[0]), int(words[1])))
+                    lines.ends.append((_whole(words[0]), _whole(words[1])))
                     lines.edges.append(_numbers(words[2:], 28))
+                    lines.numbers.append(number)
                 elif tag == _FIX:
-                    lines.fixed.update(int(word) for word in words)
+                    lines.fixed.update(map(_whole, words))
                 elif tag and not tag.startswith("PARAMS_"):
                     raise InputError(
-                        f"Cannot read {where}: {tag} is not one of {_VERTEX}, {_EDGE}, {_FIX}; convert the "
-                        "graph to 3-D poses and edges between them."
+                        f"Cannot read {where}: {excerpt(tag)} is not one of {_VERTEX}, {_EDGE}, {_FIX}; "
+                        "convert the graph to 3-D poses and edges between them."
                     )
             except (ValueError, IndexError):
                 raise InputError(f"Cannot read {where}: {tag} needs other numbers than it has.") from None
     return lines
 
 
+def _require_information(information: Float[np.ndarray, "n 6 6"], lines: _Lines, path: Path | str) -> None:
+    """Raise InputError at the first edge whose information is not the inverse of a covariance."""
+    eigenvalues = np.linalg.eigvalsh(information)
+    # Files round their numbers.
+    wrong = eigenvalues[:, 0] < -1e-4 * np.maximum(eigenvalues[:, -1], 0)
+    if wrong.any():
+        number = lines.numbers[int(np.argmax(wrong))]
+        raise InputError(
+            f"Cannot read line {number} of {path}: its information is no inverse of a covariance, for it has "
+            "a negative eigenvalue."
+        )
+
+
+def _whole(word: str) -> int:
+    """A whole number of 64 bits at most."""
+    number = int(word) if len(word) < 20 else 2**63
+    if not -(2**63) <= number < 2**63:
+        raise ValueError
+    return number
+
+
 def _numbers(words: list[str], count: int) -> list[float]:
-    """A count of finite numbers; the first seven are a motion, with a quaternion that is not 0."""
+    """A count of numbers that float32 can hold; the first seven are a motion, whose quaternion is not 0."""
     numbers = [float(word) for word in words]
-    if len(numbers) != count or not np.all(np.isfinite(numbers)) or not any(numbers[3:7]):
+    if len(numbers) != count or not all(abs(x) < _LARGEST for x in numbers):
+        raise ValueError
+    if not math.hypot(*numbers[3:7]) > _LEAST_QUATERNION:
         raise ValueError
     return numbers
 

@@ -1,12 +1,17 @@
 """Time-stamped camera poses on the host, and the text formats of TUM and KITTI."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.geometry._rotations import quaternions_from_rotations, rotations_from_quaternions
+
+# Seconds and metres; a larger number is damage.
+_LARGEST = 1e12
+_LEAST_QUATERNION = 1e-6
 
 
 @dataclass(frozen=True)
@@ -60,9 +65,13 @@ def parse_tum(text: str, name: str) -> Trajectory:
         except ValueError:
             row = []
         if len(row) != 8:
-            raise InputError(f"{name}, line {number}: expected 't tx ty tz qx qy qz qw', found {line!r}.")
-        if not np.all(np.isfinite(row)) or not np.any(row[4:]):
-            raise InputError(f"{name}, line {number}: the pose is not finite or has no rotation: {line!r}.")
+            raise InputError(
+                f"{name}, line {number}: expected 't tx ty tz qx qy qz qw', found {excerpt(line)}."
+            )
+        if not all(abs(x) < _LARGEST for x in row) or not math.hypot(*row[4:]) > _LEAST_QUATERNION:
+            raise InputError(
+                f"{name}, line {number}: the pose is not finite or has no rotation: {excerpt(line)}."
+            )
         rows.append(row)
     table = np.asarray(rows, np.float64).reshape(-1, 8)
     poses = np.tile(np.eye(4), (len(table), 1, 1))
@@ -76,9 +85,9 @@ def read_tum(path: Path | str) -> Trajectory:
     """Read a trajectory in TUM format. Raises InputError as `parse_tum` does, or if there is no such file."""
     path = Path(path)
     try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"Cannot read the trajectory {path}: {error}.") from error
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read the trajectory {path}: {excerpt(error)}.") from error
     return parse_tum(text, str(path))
 
 

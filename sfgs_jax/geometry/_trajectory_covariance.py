@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 
 _HEADER = (
     "# timestamp, covariance of x y z (m) and turns about x y z (rad) in the camera: upper triangle by rows"
@@ -39,12 +39,16 @@ def read_covariances(path: Path | str) -> tuple[Float[np.ndarray, " n"], Float[n
         InputError: there is no such file, or a line is not 22 finite numbers.
     """
     try:
-        lines = [line for line in Path(path).read_text().splitlines() if line and not line.startswith("#")]
+        lines = [
+            line
+            for line in Path(path).read_text(encoding="utf-8-sig").splitlines()
+            if line and not line.startswith("#")
+        ]
         table = np.asarray([[float(word) for word in line.split()] for line in lines])
         table = table.reshape(len(lines), 1 + len(_UPPER[0]))
     except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read the covariances {path}: {error}.") from error
-    if not np.isfinite(table).all():
+        raise InputError(f"Cannot read the covariances {path}: {excerpt(error)}.") from error
+    if not (np.abs(table) < 1e12).all():
         raise InputError(f"The covariances {path} are not finite.")
     covariances = np.zeros((len(table), 6, 6))
     covariances[:, *_UPPER] = covariances[:, *_UPPER[::-1]] = table[:, 1:]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 
 EXPOSURE_FILE = "exposure.txt"
 """Name of the file in the folder of a run."""
@@ -35,10 +35,14 @@ def read_gains(path: Path | str) -> tuple[Float[np.ndarray, " n"], Float[np.ndar
         InputError: there is no such file, or a line is not four finite numbers, the gains positive.
     """
     try:
-        lines = [line for line in Path(path).read_text().splitlines() if line and not line.startswith("#")]
+        lines = [
+            line
+            for line in Path(path).read_text(encoding="utf-8-sig").splitlines()
+            if line and not line.startswith("#")
+        ]
         table = np.asarray([[float(word) for word in line.split()] for line in lines]).reshape(len(lines), 4)
     except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read the exposures {path}: {error}.") from error
-    if not (np.isfinite(table).all() and (table[:, 1:] > 0).all()):
+        raise InputError(f"Cannot read the exposures {path}: {excerpt(error)}.") from error
+    if not ((np.abs(table) < 1e12).all() and (table[:, 1:] > 0).all()):
         raise InputError(f"The exposures {path} are not finite and positive.")
     return table[:, 0], table[:, 1:]

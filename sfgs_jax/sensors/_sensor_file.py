@@ -6,7 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.sensors._depth_correction import DEPTH_GRID, DepthCorrection
 from sfgs_jax.sensors._model import SensorModel
 from sfgs_jax.sensors._timing import SensorTiming
@@ -16,6 +16,9 @@ SENSOR_FILE = "sensors.json"
 
 TIME_NAMES = ("depth_delay", "colour_readout", "depth_readout")
 """Names of the times in the file, in the order of `SensorTiming`."""
+
+# Seconds, and 1/m. No camera is so late, and no depth so wrong.
+_LARGEST = 10.0
 
 
 def read_sensors(path: Path) -> SensorModel:
@@ -28,17 +31,20 @@ def read_sensors(path: Path) -> SensorModel:
         InputError: the file can't be read, or holds something else.
     """
     try:
-        found = json.loads(path.read_text())
+        found = json.loads(path.read_text(encoding="utf-8-sig"))
         times, offsets = found.get("times_s"), found.get("depth_offsets_per_m")
-        timing = None if times is None else SensorTiming(*(float(times[name]) for name in TIME_NAMES))
-        depth = None if offsets is None else np.asarray(offsets, np.float32)
+        seconds = None if times is None else [float(times[name]) for name in TIME_NAMES]
+        depth = None if offsets is None else np.asarray(offsets, np.float64)
     except OSError as error:
-        raise InputError(f"Cannot read the sensors in {path}: {error.strerror}.") from error
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise InputError(f"Cannot read the sensors in {path}: {excerpt(error)}.") from error
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(f"{path} holds no model of a camera: give the {SENSOR_FILE} of a run.") from error
-    if timing is None and depth is None:
+    if seconds is None and depth is None:
         raise InputError(f"{path} holds no model of a camera: give the {SENSOR_FILE} of a run.")
-    if depth is not None and (depth.shape != DEPTH_GRID or not np.isfinite(depth).all()):
+    if seconds is not None and not all(abs(time) < _LARGEST for time in seconds):
+        raise InputError(f"{path} needs times below {_LARGEST:g} s, all of them finite.")
+    if depth is not None and (depth.shape != DEPTH_GRID or not (np.abs(depth) < _LARGEST).all()):
         rows, columns = DEPTH_GRID
         raise InputError(f"{path} needs {rows} rows of {columns} offsets of depth, all of them finite.")
-    return SensorModel(timing, None if depth is None else DepthCorrection(jnp.asarray(depth)))
+    timing = None if seconds is None else SensorTiming(*seconds)
+    return SensorModel(timing, None if depth is None else DepthCorrection(jnp.asarray(depth, jnp.float32)))

@@ -40,6 +40,7 @@ from sfgs_jax.slam.run import combined as combined
 from sfgs_jax.slam.run import load as load
 from sfgs_jax.slam.run import load_run as load_run
 from sfgs_jax.slam.run import prepare_folder as prepare_folder
+from sfgs_jax.slam.run import resume_folder as resume_folder
 from sfgs_jax.slam.run import run as run
 from sfgs_jax.slam.run import save as save
 from sfgs_jax.slam.run import save_run as save_run

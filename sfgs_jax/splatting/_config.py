@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, check_counts, check_positive
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,10 @@ class RenderConfig:
     takes three more channels."""
 
     def __post_init__(self) -> None:
-        if self.tile_size < 1 or self.pair_capacity < 1 or not 0 < self.near < self.far:
-            raise InputError(f"{self}: tile_size and pair_capacity must be positive, and 0 < near < far.")
+        check_counts(self, 1, "tile_size", "pair_capacity")
+        check_positive(self, "near", "far")
+        if not self.near < self.far:
+            raise InputError(f"{self}: near must be below far.")
 
 
 DEFAULT = RenderConfig()

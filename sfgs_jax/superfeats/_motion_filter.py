@@ -1,5 +1,6 @@
 """Slope filter of SFGS-SLAM: keeps the matches that move across the image in the same way as most others."""
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import check_counts, check_range
 from sfgs_jax.superfeats._features import Features, Matches
 from sfgs_jax.superfeats._matching import (
     MIN_SIMILARITY,
@@ -46,13 +47,9 @@ class MotionFilterConfig:
     """Cosine that a second-best match must exceed, in [0, 1]."""
 
     def __post_init__(self) -> None:
-        tolerances = self.tolerance, self.relative_tolerance, self.min_matches
-        shares = self.min_share, self.min_similarity
-        if not (all(value >= 0 for value in tolerances) and all(0 <= share <= 1 for share in shares)):
-            raise InputError(
-                f"{self}: tolerances and min_matches must not be negative, "
-                "and min_share and min_similarity lie in [0, 1]."
-            )
+        check_counts(self, 0, "min_matches")
+        check_range(self, 0, math.inf, "tolerance", "relative_tolerance")
+        check_range(self, 0, 1, "min_share", "min_similarity")
 
 
 def filter_by_motion(

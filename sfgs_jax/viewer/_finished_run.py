@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.arrays import FrameError, InputError, excerpt
 from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
 from sfgs_jax.evaluation import PosedFrames, posed_frames
 from sfgs_jax.geometry import Camera, Frame, Trajectory, read_covariances, read_tum
@@ -170,5 +170,5 @@ def _json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+        raise InputError(f"Cannot read {path}: {excerpt(error)}.") from error
     return content if isinstance(content, dict) else {}

@@ -1,14 +1,13 @@
 """camera.json: the intrinsics that users write for their own recordings."""
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets.files._pose_files import read_text
 from sfgs_jax.geometry import Camera
 from sfgs_jax.sensors import Undistortion
@@ -63,10 +62,12 @@ class Intrinsics:
             InputError: a focal length is no positive number, the intrinsics belong to images of another size,
                 or the principal point is outside.
         """
-        if not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
+        if not (1e-3 < self.fx < 1e9 and 1e-3 < self.fy < 1e9):
             raise InputError(
                 f"The focal lengths ({self.fx:g}, {self.fy:g}) of {source} should be positive, in pixels."
             )
+        if not all(abs(x) < 1e6 for x in self.distortion):
+            raise InputError(f"The lens coefficients of {source} should be finite and small numbers.")
         if (self.width or width, self.height or height) != (width, height):
             raise InputError(
                 f"The intrinsics of {source} are for {self.width or '?'}x{self.height or '?'} images, "
@@ -126,8 +127,8 @@ def one_camera(cameras: Sequence[Intrinsics], source: Path) -> Intrinsics:
     """
     first = cameras[0]
     numbers = np.asarray([(c.fx, c.fy, c.cx, c.cy) for c in cameras], np.float64)
-    if not np.isfinite(numbers).all():
-        raise InputError(f"The focal lengths and principal points of {source} should be finite numbers.")
+    if not (np.abs(numbers) < 1e9).all():
+        raise InputError(f"The focal lengths and principal points of {source} should be numbers of pixels.")
     median = np.median(numbers, axis=0)
     focal, spread = float(median[0]), float(np.max(np.abs(numbers - median)))
     same = all(
@@ -153,7 +154,7 @@ def read_camera_json(path: Path) -> Intrinsics:
         content = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:
         raise InputError(
-            f"{path} is not valid JSON ({error}); it should look like {CAMERA_EXAMPLE}."
+            f"{path} is not valid JSON ({excerpt(error)}); it should look like {CAMERA_EXAMPLE}."
         ) from error
     if not isinstance(content, dict):
         raise InputError(f"{path} must hold one JSON object such as {CAMERA_EXAMPLE}.")
@@ -165,12 +166,12 @@ def read_camera_json(path: Path) -> Intrinsics:
         if content.get(key) is None:
             continue
         value = content[key]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
-            raise InputError(f"{path}: {key} must be a positive number, not {value!r}.")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 1e-6 < value < 1e9:
+            raise InputError(f"{path}: {key} must be a positive number, not {excerpt(value)}.")
         values[key] = float(value)
     distortion = _distortion(content.get("distortion", []), path)
     unknown = sorted(set(content) - {*_NUMBERS, "distortion"})
-    notes = (f"{path} has entries that are not used: {', '.join(unknown)}.",) if unknown else ()
+    notes = (f"{path} has entries that are not used: {excerpt(unknown)}.",) if unknown else ()
     width, height = (int(values[key]) if key in values else None for key in ("width", "height"))
     return Intrinsics(
         fx=values["fx"],
@@ -188,9 +189,10 @@ def read_camera_json(path: Path) -> Intrinsics:
 
 def _distortion(value: object, path: Path) -> tuple[float, ...]:
     coefficients = value if isinstance(value, list) else [value]
-    numbers = [x for x in coefficients if isinstance(x, int | float) and math.isfinite(x)]
+    numbers = [x for x in coefficients if isinstance(x, int | float) and -1e6 < x < 1e6]
     if value != [] and (len(numbers) != len(coefficients) or len(numbers) not in _DISTORTION_COUNTS):
         raise InputError(
-            f"{path}: distortion must be a list of 4, 5 or 8 numbers (k1, k2, p1, p2, ...), not {value!r}."
+            f"{path}: distortion must be a list of 4, 5 or 8 numbers (k1, k2, p1, p2, ...), "
+            f"not {excerpt(value)}."
         )
     return tuple(float(x) for x in numbers)

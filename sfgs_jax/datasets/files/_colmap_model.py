@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets.files._camera_files import Intrinsics
 from sfgs_jax.datasets.files._pose_files import inverse_poses, quaternion_poses, read_text
 
@@ -107,7 +107,7 @@ def _text_cameras(path: Path) -> list[tuple[int, Intrinsics]]:
             parameters = [float(word) for word in words[4:]]
         except (ValueError, IndexError):
             raise InputError(
-                f"{path}, line {number}: expected 'id model width height parameters', found {line!r}."
+                f"{path}, line {number}: expected 'id model width height parameters', found {excerpt(line)}."
             ) from None
         cameras.append((key, _intrinsics(words[1], width, height, parameters, path)))
     return cameras
@@ -124,7 +124,8 @@ def _text_images(path: Path) -> list[_Image]:
             images.append((words[9].strip(), int(words[8]), tuple(float(word) for word in words[1:8])))
         except (ValueError, IndexError):
             raise InputError(
-                f"{path}, line {number}: expected 'id qw qx qy qz tx ty tz camera name', found {line!r}."
+                f"{path}, line {number}: expected 'id qw qx qy qz tx ty tz camera name', "
+                f"found {excerpt(line)}."
             ) from None
         next(lines, None)  # its points, an empty line if it has none
     return images
@@ -138,9 +139,9 @@ def _binary(path: Path, read_one: Callable[["_Bytes", Path], _T]) -> list[_T]:
         # A count beyond the file's length ends at the file's end, before anything of its size is made.
         return [read_one(data, path) for _ in range(count)]
     except OSError as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+        raise InputError(f"Cannot read {path}: {excerpt(error)}.") from error
     except (struct.error, ValueError, OverflowError) as error:
-        raise InputError(f"{path} is damaged or is no binary file of COLMAP ({error}).") from error
+        raise InputError(f"{path} is damaged or is no binary file of COLMAP ({excerpt(error)}).") from error
 
 
 class _Bytes:

@@ -16,6 +16,8 @@ from sfgs_jax.geometry import Camera, Frame, Trajectory
 _NUM_PROBED = 10
 # A median depth out of this range, metres, means that the scale is wrong, not that the room is odd.
 _PLAUSIBLE_DEPTH = (0.05, 50.0)
+# Seconds; 30,000 years.
+_LATEST = 1e12
 
 
 @runtime_checkable
@@ -70,6 +72,12 @@ class FileRecording:
     notes: tuple[str, ...]
     register: PairRegistration | None = None
 
+    def __post_init__(self) -> None:
+        """Raise InputError if a time stamp can't be one."""
+        wrong = [time for time in self.timestamps.tolist() if not abs(time) < _LATEST]
+        if wrong:
+            raise InputError(f"{self.name} has a frame at {wrong[0]:g}, which is no time stamp in seconds.")
+
     @property
     def timestamps(self) -> Float[np.ndarray, " n"]:
         """Seconds, float64."""
@@ -109,6 +117,8 @@ def first_readable(
     Raises:
         InputError: there are no frames, or none of the first ones can be read.
     """
+    if units_per_metre is not None and not 1e-6 < units_per_metre < 1e9:
+        raise InputError(f"The depth scale of {source} should be units per metre, not {units_per_metre:g}.")
     if not pairs:
         raise InputError(f"No pairs of colour and depth images found in {source}.")
     first_error: FrameError | None = None

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from sfgs_jax.arrays import FrameError
+from sfgs_jax.arrays import FrameError, excerpt
 from sfgs_jax.datasets.files._bag import Bag
 from sfgs_jax.datasets.files._images import (
     colour_of_bgr,
@@ -80,7 +80,7 @@ class ImageMessage:
         data, kind = bytes(message.data), str(message.format)
         if "compressedDepth" in kind:
             if not kind.startswith("16UC1"):
-                raise FrameError(f"{self} has the format {kind!r}; only 16UC1 can be read compressed.")
+                raise FrameError(f"{self} has the format {excerpt(kind)}; only 16UC1 can be read compressed.")
             data = data[_COMPRESSED_DEPTH_HEADER:]
         return depth_of_bytes(data, units_per_metre, str(self))
 

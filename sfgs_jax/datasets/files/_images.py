@@ -1,5 +1,7 @@
 """Images: decoding colour and depth to float32, and depth back to 16-bit units."""
 
+import io
+import stat
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -7,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8, UInt16
 
-from sfgs_jax.arrays import FrameError
+from sfgs_jax.arrays import FrameError, excerpt
 
 COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 """Endings of colour images."""
@@ -17,6 +19,12 @@ DEPTH_SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".pgm")
 
 # A saturated sensor value means "too far or unknown" in 7-Scenes and in every other 16-bit layout.
 _SATURATED = 65535
+# Larger than the images of any RGB-D camera. A damaged header may ask for more memory than there is.
+_MOST_PIXELS = 1 << 26
+_MOST_BYTES = 1 << 30
+_FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")
+# Metres, which no camera sees. It is far above depth in a wrong unit, for which there is a note.
+_FARTHEST = 1e6
 
 
 @runtime_checkable
@@ -74,7 +82,7 @@ def colour_of_bgr(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3
 
 
 def decode_depth(image: Path | DepthImage, units_per_metre: float | None) -> Float[np.ndarray, "h w"]:
-    """Depth in metres; 0 where it is missing (0, saturated, negative or not finite).
+    """Depth in metres; 0 where it is missing (0, saturated, negative, not finite or beyond 1000 km).
 
     Args:
         image: a 16-bit or floating-point image file of one channel; a two-dimensional `.npy` array; or an
@@ -88,11 +96,7 @@ def decode_depth(image: Path | DepthImage, units_per_metre: float | None) -> Flo
         return image.metres(units_per_metre)
     if image.suffix.lower() != ".npy":
         return depth_of_bytes(_read_bytes(image), units_per_metre, str(image))
-    try:
-        array = np.load(image, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise FrameError(f"{image} cannot be read as an array: {error}.") from error
-    return depth_of_array(array, units_per_metre, str(image))
+    return depth_of_array(_mapped_array(image), units_per_metre, str(image))
 
 
 def depth_of_bytes(data: bytes, units_per_metre: float | None, name: str) -> Float[np.ndarray, "h w"]:
@@ -135,8 +139,9 @@ def depth_of_array(
         return np.maximum(depth, 0)
     if not np.issubdtype(image.dtype, np.floating):
         raise FrameError(f"{name} holds {image.dtype} values; depth must be integer or floating point.")
-    depth = image.astype(np.float32) * np.float32(1 / (units_per_metre or 1.0))
-    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = image.astype(np.float32) * np.float32(1 / (units_per_metre or 1.0))
+        return np.where((depth > 0) & (depth < _FARTHEST), depth, np.float32(0))
 
 
 def depth_units(depth: Float[np.ndarray, "h w"], units_per_metre: float) -> UInt16[np.ndarray, "h w"]:
@@ -167,15 +172,41 @@ def read_levels(path: Path) -> UInt8[np.ndarray, "h w"]:
 
 def _read_bytes(path: Path) -> bytes:
     try:
+        _require_file(path)
         return path.read_bytes()
-    except OSError as error:
-        raise FrameError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except (OSError, ValueError) as error:
+        raise FrameError(f"{path} cannot be read: {excerpt(error)}.") from error
+
+
+def _mapped_array(path: Path) -> np.ndarray:
+    """The array of a .npy file, mapped into memory: a header that promises more than the file is refused."""
+    try:
+        _require_file(path)
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:  # NumPy's reader raises whatever a broken header trips
+        raise FrameError(f"{path} cannot be read as an array: {excerpt(error)}.") from error
+    if not isinstance(array, np.ndarray):
+        raise FrameError(f"{path} is an archive; save each depth image as an array of its own.")
+    return array
+
+
+def _require_file(path: Path) -> None:
+    """Raise OSError or ValueError unless a path is a file of a size that an image may have.
+
+    A pipe would wait for ever, and a device has no end.
+    """
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode):
+        raise ValueError("it is no regular file")
+    if found.st_size > _MOST_BYTES:
+        raise ValueError(f"it has {found.st_size} bytes, more than an image can need")
 
 
 def _decode(data: bytes, flags: int, name: str) -> Shaped[np.ndarray, "h w *channels"]:
     # Some OpenCV versions return the upper part of a truncated file without complaint.
     if not _is_whole(data):
         raise FrameError(f"{name} is truncated ({len(data)} bytes).")
+    _require_size(data, name)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
@@ -183,6 +214,21 @@ def _decode(data: bytes, flags: int, name: str) -> Shaped[np.ndarray, "h w *chan
     if image is None:
         raise FrameError(f"{name} is damaged or is not an image.")
     return image
+
+
+def _require_size(data: bytes, name: str) -> None:
+    """Raise FrameError if an image's header asks for more pixels than an image has, before room is made."""
+    # Imported here, because it takes long and only files need it.
+    from PIL import Image
+
+    try:
+        width, height = Image.open(io.BytesIO(data), formats=_FORMATS).size  # reads the header only
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning):
+        raise FrameError(f"{name} has more than {_MOST_PIXELS} pixels.") from None
+    except Exception:  # no image that it knows; the decoder has the last word
+        return
+    if width * height > _MOST_PIXELS:
+        raise FrameError(f"{name} has {width}x{height} pixels, more than {_MOST_PIXELS}.")
 
 
 def _is_whole(data: bytes) -> bool:

@@ -5,8 +5,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets.files._pose_files import read_text
+
+# Bytes; the limit of every usual file system.
+_LONGEST_NAME = 255
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -15,13 +18,13 @@ def read_json(path: Path) -> dict[str, Any]:
         # Not only JSONDecodeError: numbers of thousands of digits are a ValueError.
         content = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid JSON ({error}).") from error
+        raise InputError(f"{path} is not valid JSON ({excerpt(error)}).") from error
     if not isinstance(content, dict):
         raise InputError(f"{path} should hold one JSON object.")
     return content
 
 
-def listed_file(folder: Path, name: str, source: Path) -> Path:
+def listed_file(folder: Path, name: str, source: Path | str) -> Path:
     """Path of a file that a list names.
 
     Args:
@@ -29,11 +32,17 @@ def listed_file(folder: Path, name: str, source: Path) -> Path:
         name: the name in the list.
         source: the list, for messages.
 
+    Symbolic links are followed, since people keep images on another disk; what they lead to must be a file.
+
     Raises:
-        InputError: the name leads outside the folder, or is the folder's.
+        InputError: the name leads outside the folder, is the folder's, or is longer than names can be.
     """
     relative = os.path.normpath(name)
-    outside = os.path.isabs(relative) or relative.split(os.sep)[0] in (os.curdir, os.pardir)
+    outside = (
+        max(map(len, os.fsencode(relative.replace("\0", "")).split(b"/"))) > _LONGEST_NAME
+        or os.path.isabs(relative)
+        or relative.split(os.sep)[0] in (os.curdir, os.pardir)
+    )
     if outside or "\0" in relative:
-        raise InputError(f"{source} names {name!r}, which lies outside {folder}, or is no file.")
+        raise InputError(f"{source} names {excerpt(name)}, which lies outside {folder}, or is no file.")
     return folder / relative

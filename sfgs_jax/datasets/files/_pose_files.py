@@ -6,21 +6,24 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.geometry import Trajectory, parse_tum, rotations_from_quaternions
 
 # Files keep few digits, so the singular values of a rotation are off by some 1e-3.
 _RIGID_TOLERANCE = 0.02
 # Metres. A larger number is damage, and products of it would overflow.
 _FARTHEST = 1e9
+# Seconds.
+_LATEST = 1e12
+_LEAST_QUATERNION = 1e-6
 
 
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8. Raises InputError if it can't be read."""
     try:
         return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read {path}: {excerpt(error)}.") from error
 
 
 def read_numbers(path: Path) -> list[list[float]]:
@@ -31,7 +34,9 @@ def read_numbers(path: Path) -> list[list[float]]:
         try:
             row = [float(word) for word in words]
         except ValueError:
-            raise InputError(f"{path}, line {number}: expected numbers, found {line.strip()!r}.") from None
+            raise InputError(
+                f"{path}, line {number}: expected numbers, found {excerpt(line.strip())}."
+            ) from None
         if row:
             rows.append(row)
     return rows
@@ -62,7 +67,7 @@ def read_table(path: Path, *columns: str) -> Float[np.ndarray, "n k"]:
             rows.append([float(cells[i] or "nan") for i in wanted])
         except (ValueError, IndexError):
             raise InputError(
-                f"{path}, line {number}: expected numbers under {', '.join(columns)}, found {line!r}."
+                f"{path}, line {number}: expected numbers under {', '.join(columns)}, found {excerpt(line)}."
             ) from None
     return np.asarray(rows, np.float64).reshape(-1, len(columns))
 
@@ -163,4 +168,8 @@ def _is_broken_tum(line: str) -> bool:
         numbers = [float(word) for word in words]
     except ValueError:
         return False
-    return len(numbers) == 8 and (not all(map(math.isfinite, numbers)) or not any(numbers[4:]))
+    return len(numbers) == 8 and (
+        not all(abs(x) < _LATEST for x in numbers[:1])
+        or not all(abs(x) < _FARTHEST for x in numbers[1:])
+        or math.hypot(*numbers[4:]) < _LEAST_QUATERNION
+    )

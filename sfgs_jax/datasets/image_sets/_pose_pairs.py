@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
-from sfgs_jax.datasets.files import read_matrix_file, read_numbers, read_text
+from sfgs_jax.arrays import InputError, described, excerpt
+from sfgs_jax.datasets.files import listed_file, read_matrix_file, read_numbers, read_text
 from sfgs_jax.datasets.image_sets._image_pairs import PosePair
 
 # Names, rotation flags, two calibration matrices and a 4x4 motion: SuperGlue's lists.
@@ -120,9 +120,9 @@ def _read_json(path: Path, root: Path) -> list[PosePair]:
             )
             for i, entry in enumerate(entries)
         ]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(
-            f"{path} should be a list of objects with pair_names, K0, K1 and T_0to1: {error!r}."
+            f"{path} should be a list of objects with pair_names, K0, K1 and T_0to1: {excerpt(error)}."
         ) from error
     return _checked(pairs, path)
 
@@ -130,11 +130,11 @@ def _read_json(path: Path, root: Path) -> list[PosePair]:
 def _read_loftr(path: Path, root: Path) -> list[PosePair]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            names = np.asarray(archive["name"]).astype(int)
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path} should hold an array called name: {error}.") from error
-    if names.ndim != 2 or names.shape[1] != 4:
-        raise InputError(f"{path}: name has shape {names.shape}, not (pairs, 4).")
+            names = np.asarray(archive["name"])
+    except Exception as error:  # NumPy's reader raises whatever a broken archive trips
+        raise InputError(f"{path} should hold an array called name: {excerpt(error)}.") from error
+    if names.ndim != 2 or names.shape[1] != 4 or names.dtype.kind not in "iu":
+        raise InputError(f"{path}: name is {described(names)}, not whole numbers of shape (pairs, 4).")
     pairs = []
     for scene, scan, *frames in names.tolist():
         folder = root / f"scene{scene:04d}_{scan:02d}"
@@ -164,14 +164,14 @@ def _pair(
     full = np.eye(4)
     full[:3] = T_b_a[:3]
     shapes_fit = K_a.shape == K_b.shape == (3, 3) and T_b_a.shape in ((3, 4), (4, 4))
-    if not shapes_fit or not all(np.isfinite(x).all() for x in (K_a, K_b, full)):
+    if not shapes_fit or not all((np.abs(x) < 1e9).all() for x in (K_a, K_b, full)):
         raise InputError(f"{where}: the calibration or the motion is not finite.")
     if not np.allclose(full[:3, :3] @ full[:3, :3].T, np.eye(3), atol=1e-2) or not full[:3, 3].any():
         raise InputError(f"{where}: the motion should be a rotation and a translation that is not zero.")
-    first, second = names
-    return PosePair(
-        name=f"{first} {second}", image_a=root / first, image_b=root / second, K_a=K_a, K_b=K_b, T_b_a=full
-    )
+    if not all(1e-3 < focal < 1e9 for K in (K_a, K_b) for focal in (K[0, 0], K[1, 1])):
+        raise InputError(f"{where}: the focal lengths should be positive, in pixels.")
+    first, second = (listed_file(root, name, where) for name in names)
+    return PosePair(name=" ".join(names), image_a=first, image_b=second, K_a=K_a, K_b=K_b, T_b_a=full)
 
 
 def _checked(pairs: list[PosePair], listing: Path) -> list[PosePair]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets._association import associate
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
@@ -90,7 +90,7 @@ def _read_list(folder: Path) -> tuple[Float[np.ndarray, " n"], list[Path]]:
         if words == [""]:
             continue
         if len(words) != 2 or not re.fullmatch(r"\d{1,19}", words[0]):
-            raise InputError(f"{path}, line {number}: expected 'nanoseconds,file', found {line!r}.")
+            raise InputError(f"{path}, line {number}: expected 'nanoseconds,file', found {excerpt(line)}.")
         rows.append((int(words[0]) / 1e9, listed_file(folder / "data", words[1], path)))
     rows.sort(key=lambda row: row[0])
     return np.asarray([row[0] for row in rows], np.float64), [row[1] for row in rows]

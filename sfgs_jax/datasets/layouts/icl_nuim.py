@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     FilePair,
@@ -20,6 +20,7 @@ from sfgs_jax.datasets.files import (
     Intrinsics,
     ground_truth_by_frame,
     images_by_number,
+    listed_file,
     not_finite_notes,
     read_camera_json,
     read_text,
@@ -80,11 +81,11 @@ def _frames(source: Path) -> dict[int, tuple[Path, Path]]:
             continue
         try:
             # The published files put depth first; files that users write often put colour first.
-            first, second = (source / words[1], source / words[3])
+            first, second = (listed_file(source, words[i], associations) for i in (1, 3))
             colour, depth = (second, first) if first.parent.name == "depth" else (first, second)
             frames[int(colour.stem)] = (colour, depth)
         except (IndexError, ValueError):
             raise InputError(
-                f"{associations}, line {number}: expected 'N depth/N.png N rgb/N.png', found {line!r}."
+                f"{associations}, line {number}: expected 'N depth/N.png N rgb/N.png', found {excerpt(line)}."
             ) from None
     return frames

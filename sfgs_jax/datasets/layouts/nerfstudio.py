@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     FilePair,
@@ -89,7 +89,7 @@ def _frames(content: dict[str, Any], path: Path) -> list[dict[str, Any]]:
 
 def _time(frame: dict[str, Any]) -> float | None:
     time = frame.get("timestamp")
-    return float(time) if isinstance(time, int | float) and math.isfinite(time) else None
+    return float(time) if isinstance(time, int | float) and abs(time) < 1e12 else None
 
 
 def _timestamps(frames: list[dict[str, Any]], colour: list[Path]) -> Float[np.ndarray, " n"]:
@@ -115,8 +115,8 @@ def _units_per_metre(content: dict[str, Any], path: Path) -> float | None:
     metres = content.get("integer_depth_scale")
     if metres is None:
         return None
-    if not isinstance(metres, int | float) or not 0 < metres < math.inf:
-        raise InputError(f"{path}: integer_depth_scale must be a positive number, not {metres!r}.")
+    if not isinstance(metres, int | float) or not 1e-9 < metres < 1e6:
+        raise InputError(f"{path}: integer_depth_scale must be a positive number, not {excerpt(metres)}.")
     return 1 / metres
 
 
@@ -140,7 +140,9 @@ def _intrinsics(entries: dict[str, Any], path: Path) -> Intrinsics:
             distortion=distortion if any(distortion) else (),
         )
     except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
-        raise InputError(f"{path} lacks the intrinsics fl_x, fl_y, cx, cy, w and h ({error!r}).") from error
+        raise InputError(
+            f"{path} lacks the intrinsics fl_x, fl_y, cx, cy, w and h ({excerpt(error)})."
+        ) from error
     if entries.get("k4"):
         raise InputError(f"{path}: the lens coefficient k4 can't be used; undistort the images first.")
     return intrinsics
@@ -161,7 +163,7 @@ def _pose(frame: dict[str, Any], path: Path) -> Float[np.ndarray, "4 4"] | None:
         if pose.shape == (3, 4):
             pose = np.vstack([pose, [0, 0, 0, 1]])
         return opencv_poses(rigid_poses(pose.reshape(1, 4, 4)))[0]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{path}: transform_matrix of {frame['file_path']!r} should be a 4x4 matrix."
+            f"{path}: transform_matrix of {excerpt(frame['file_path'])} should be a 4x4 matrix."
         ) from error

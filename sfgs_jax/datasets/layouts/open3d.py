@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     COLOUR_SUFFIXES,
@@ -87,7 +87,7 @@ def _intrinsics(path: Path) -> Intrinsics:
             raise ValueError(f"intrinsic_matrix has {len(K)} numbers")
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{path} does not hold width, height and the 9 numbers of intrinsic_matrix ({error!r})."
+            f"{path} does not hold width, height and the 9 numbers of intrinsic_matrix ({excerpt(error)})."
         ) from error
     return Intrinsics(K[0], K[4], K[6], K[7], width=width, height=height)
 

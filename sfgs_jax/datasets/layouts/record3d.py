@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.arrays import FrameError, InputError, excerpt
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     FilePair,
@@ -88,7 +88,7 @@ class _Members:
             else:
                 names = [f"rgbd/{path.name}" for path in (source / "rgbd").iterdir()]
         except (OSError, zipfile.BadZipFile) as error:
-            raise InputError(f"{source} cannot be read as an .r3d archive: {error}.") from error
+            raise InputError(f"{source} cannot be read as an .r3d archive: {excerpt(error)}.") from error
         self.names = frozenset(names)
         stems = [name[5:-4] for name in names if name.startswith("rgbd/") and name.endswith(".jpg")]
         # Beyond a million frames a number is damage.
@@ -109,7 +109,7 @@ class _Members:
         except KeyError as error:
             raise FrameError(f"{self.text(name)} is missing.") from error
         except (OSError, zipfile.BadZipFile, zlib.error, RuntimeError) as error:
-            raise FrameError(f"{self.text(name)} cannot be read: {error}.") from error
+            raise FrameError(f"{self.text(name)} cannot be read: {excerpt(error)}.") from error
 
     def text(self, name: str) -> str:
         """Path of a file, for messages."""
@@ -150,14 +150,14 @@ class _Metadata:
         except FrameError as error:
             raise InputError(str(error)) from error
         except (
-            json.JSONDecodeError,
-            UnicodeDecodeError,
+            RecursionError,
+            OverflowError,
             KeyError,
             TypeError,
             ValueError,
             IndexError,
         ) as error:
-            raise InputError(f"{path} does not describe a Record3D capture ({error!r}).") from error
+            raise InputError(f"{path} does not describe a Record3D capture ({excerpt(error)}).") from error
         check_increasing(times, Path(path))
         if not len(times):
             times = np.arange(max(members.frames, default=-1) + 1) / fps

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     COLOUR_SUFFIXES,
@@ -81,8 +81,8 @@ def _read_cam_params(path: Path) -> Intrinsics:
             width=int(camera["w"]),
             height=int(camera["h"]),
         )
-    except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
+    except (RecursionError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{path} does not hold the camera's w, h, fx, fy, cx, cy and scale ({error!r}); "
+            f"{path} does not hold the camera's w, h, fx, fy, cx, cy and scale ({excerpt(error)}); "
             "correct it, or give a camera.json."
         ) from error

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets._association import associate
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
@@ -56,7 +56,9 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     try:
         return _read(Bag(source), source, options)
     except AttributeError as error:
-        raise InputError(f"The messages of {source} are not as ROS defines them: {error}.") from error
+        raise InputError(
+            f"The messages of {source} are not as ROS defines them: {excerpt(error)}."
+        ) from error
 
 
 def _read(bag: Bag, source: Path, options: ReaderOptions) -> FileRecording:
@@ -193,8 +195,9 @@ def _intrinsics(bag: Bag, topic: str, info: Any | None) -> Intrinsics:
         or len(lens) not in _LENS_COUNTS
     ):
         raise InputError(
-            f"The CameraInfo of {topic} in {bag.path} can't be used (lens model {info.distortion_model!r}); "
-            "undistort the images before, or give a camera.json (--reader.camera)."
+            f"The CameraInfo of {topic} in {bag.path} can't be used (lens model "
+            f"{excerpt(info.distortion_model)}); undistort the images before, or give a camera.json "
+            "(--reader.camera)."
         )
     return Intrinsics(
         float(K[0]),
@@ -253,8 +256,8 @@ def _extrinsics(bag: Bag, colour: str, depth: str) -> Float[np.ndarray, "4 4"]:
                 waiting.append(other)
     if depth not in reached or not np.isfinite(reached[depth]).all():
         raise InputError(
-            f"Depth of {bag.path} is in the frame {depth!r}, colour in {colour!r}, and no static transforms "
-            "join them; record depth that is aligned to colour, or /tf_static."
+            f"Depth of {bag.path} is in the frame {excerpt(depth)}, colour in {excerpt(colour)}, and "
+            "no static transforms join them; record depth that is aligned to colour, or /tf_static."
         )
     return reached[depth]
 

@@ -119,7 +119,9 @@ def _intrinsics(
             f"Intrinsics of {source} are missing: there is no {colour_file}; "
             f"export them with the frames, or give a camera.json such as {CAMERA_EXAMPLE}."
         )
-    scaled = scaled_intrinsics(_read_matrix(colour_file), colour_size, depth_size)
+    colour = _read_matrix(colour_file)
+    colour.camera(*colour_size, source)  # is of colour's size, or says so
+    scaled = scaled_intrinsics(colour, colour_size, depth_size)
     if not depth_file.is_file():
         return scaled, None
     depth = _read_matrix(depth_file)

@@ -4,7 +4,6 @@ Source: Yeshwanth et al., ScanNet++, ICCV 2023, and the exports of its toolkit. 
 colour, in millimetres and a fraction of its size. Poses are of cameras with OpenCV's axes.
 """
 
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     COLOUR_SUFFIXES,
@@ -101,7 +100,7 @@ def _entries(path: Path) -> dict[int, dict[str, Any]]:
         number = re.fullmatch(r"frame_(\d{1,9})", name)
         if number is None or not isinstance(entry, dict):
             raise InputError(
-                f"{path}: expected entries 'frame_000000' with pose and intrinsic, found {name!r}."
+                f"{path}: expected entries 'frame_000000' with pose and intrinsic, found {excerpt(name)}."
             )
         entries[int(number[1])] = entry
     return entries
@@ -121,15 +120,15 @@ def _colour(root: Path, numbers: list[int]) -> Mapping[int, Path | ColourImage]:
 
 def _number(entry: dict[str, Any], key: str, root: Path) -> float:
     value = entry.get(key)
-    if not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{root / _FILE}: {key} of a frame should be a finite number, not {value!r}.")
+    if not isinstance(value, int | float) or not abs(value) < 1e12:
+        raise InputError(f"{root / _FILE}: {key} of a frame should be a finite number, not {excerpt(value)}.")
     return float(value)
 
 
 def _matrix(entry: dict[str, Any], key: str, side: int, root: Path) -> Float[np.ndarray, "n n"]:
     try:
         return np.asarray(entry[key], np.float64).reshape(side, side)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{root / _FILE}: {key} of a frame should be a {side}x{side} matrix.") from error
 
 

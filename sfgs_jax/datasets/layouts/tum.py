@@ -3,12 +3,13 @@
 Source: Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012, and its file formats.
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets._association import associate
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
@@ -17,6 +18,7 @@ from sfgs_jax.datasets.files import (
     FileRecording,
     Intrinsics,
     ground_truth_by_time,
+    listed_file,
     read_camera_json,
     read_text,
     registered_size,
@@ -58,10 +60,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
             f"{len(colour) - len(matched)} of {len(colour)} colour images have no depth image within "
             f"{options.association_limit:g} s and are left out."
         )
-    pairs = [
-        FilePair(source / colour[i], source / depth[j], colour_times[i].item(), depth_times[j].item())
-        for i, j in matched
-    ]
+    pairs = [FilePair(colour[i], depth[j], colour_times[i].item(), depth_times[j].item()) for i, j in matched]
     width, height, depth_notes = registered_size(source, pairs, scale)
     ground_truth, truth_notes = ground_truth_by_time(
         source / "groundtruth.txt", colour_times[matched[:, 0]], options.association_limit
@@ -93,16 +92,21 @@ def _intrinsics(source: Path, options: ReaderOptions) -> Intrinsics:
     )
 
 
-def _read_list(path: Path) -> tuple[Float[np.ndarray, " n"], list[str]]:
-    """Time stamps, sorted, and file names of an `rgb.txt` or `depth.txt`."""
+def _read_list(path: Path) -> tuple[Float[np.ndarray, " n"], list[Path]]:
+    """Time stamps, sorted, and files of an `rgb.txt` or `depth.txt`."""
     rows = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = line.split("#")[0].split(maxsplit=1)
         if not words:
             continue
         try:
-            rows.append((float(words[0]), words[1].strip()))
+            time, name = float(words[0]), words[1].strip()
         except (ValueError, IndexError):
-            raise InputError(f"{path}, line {number}: expected 'timestamp file', found {line!r}.") from None
+            raise InputError(
+                f"{path}, line {number}: expected 'timestamp file', found {excerpt(line)}."
+            ) from None
+        if not math.isfinite(time):
+            raise InputError(f"{path}, line {number}: {excerpt(words[0])} is no time stamp in seconds.")
+        rows.append((time, listed_file(path.parent, name, path)))
     rows.sort(key=lambda row: row[0])
     return np.asarray([row[0] for row in rows], np.float64), [row[1] for row in rows]

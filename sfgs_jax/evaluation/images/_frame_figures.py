@@ -9,11 +9,17 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.evaluation.images._image_metrics import PROTOCOLS, Protocol
 
 FRAMES_FILE = "frames.csv"
 """Name of the table in the folder of a run."""
+
+_COLUMNS = (
+    *("index", "timestamp", "view", "position_error_m"),
+    *(f"{kind}_{name}" for kind in ("psnr", "ssim") for name in PROTOCOLS),
+    *("lpips_squeeze", "depth_l1_m", "coverage", "gain_r", "gain_g", "gain_b"),
+)
 
 
 @dataclass(frozen=True)
@@ -68,9 +74,7 @@ def format_frames(
     """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    figures = [f"{kind}_{name}" for kind in ("psnr", "ssim") for name in PROTOCOLS]
-    last = ["lpips_squeeze", "depth_l1_m", "coverage", "gain_r", "gain_g", "gain_b"]
-    table.writerow(["index", "timestamp", "view", "position_error_m", *figures, *last])
+    table.writerow(_COLUMNS)
     for frame in frames:
         error, lpips = position_errors_m.get(frame.index, np.nan), frame.lpips
         numbers = [by.get(name, np.nan) for by in (frame.psnr, frame.ssim) for name in PROTOCOLS]
@@ -93,10 +97,14 @@ def read_frames(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
     if not path.exists():
         return {}
     try:
-        names, *rows = csv.reader(path.read_text().splitlines())
+        names, *rows = csv.reader(path.read_text(encoding="utf-8-sig").splitlines())
+        if missing := set(_COLUMNS).difference(names):
+            raise ValueError(f"it lacks the column {min(missing)}")
         table = np.asarray([[float(cell or "nan") for cell in row] for row in rows]).reshape(-1, len(names))
-    except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read the figures of frames in {path}: {error}.") from error
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(f"Cannot read the figures of frames in {path}: {excerpt(error)}.") from error
+    if np.isinf(table).any():
+        raise InputError(f"The figures of frames in {path} are infinite; the file is damaged.")
     return dict(zip(names, table.T, strict=True))
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 
 _FILE = "weights/lpips_squeeze_v0.1.npz"
 
@@ -97,7 +97,7 @@ def load_lpips(path: Path | str | None = None) -> LpipsWeights:
         with np.load(path) as file:
             return _weights(dict(file))
     except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"Cannot read the LPIPS weights {path}: {error}.") from error
+        raise InputError(f"Cannot read the LPIPS weights {path}: {excerpt(error)}.") from error
 
 
 def _weights(arrays: dict[str, np.ndarray]) -> LpipsWeights:

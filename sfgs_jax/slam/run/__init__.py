@@ -12,6 +12,7 @@ from sfgs_jax.slam.run._outputs import GROUND_TRUTH_FILE as GROUND_TRUTH_FILE
 from sfgs_jax.slam.run._outputs import OUTPUT_FILES as OUTPUT_FILES
 from sfgs_jax.slam.run._outputs import STORAGE as STORAGE
 from sfgs_jax.slam.run._outputs import prepare_folder as prepare_folder
+from sfgs_jax.slam.run._outputs import resume_folder as resume_folder
 from sfgs_jax.slam.run._outputs import write_run as write_run
 from sfgs_jax.slam.run._outputs import write_trajectories as write_trajectories
 from sfgs_jax.slam.run._sensor_file import write_sensors as write_sensors

@@ -4,11 +4,12 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.arrays import FrameError, InputError, excerpt
 from sfgs_jax.geometry import Camera, Frame, Trajectory
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._graph_results import finish
@@ -29,6 +30,7 @@ from sfgs_jax.slam.state import MapState, SlamState, StepInfo
 from sfgs_jax.slam.step import follow
 from sfgs_jax.splatting import Gaussians
 
+_T = TypeVar("_T")
 Frames = Iterable[tuple[int, Frame | FrameError]]
 
 
@@ -85,6 +87,8 @@ class Run:
         num_refined: map steps done after the last frame.
         refinement_ms: time that they took, milliseconds.
         interrupted: whether it was ended before its source was.
+        storage_failure: why the images of old keyframes and views stay in memory, if they could not be put on
+            disk; empty without a failure.
         stopwatch: times of its stages.
     """
 
@@ -95,6 +99,7 @@ class Run:
     num_refined: int = 0
     refinement_ms: int = 0
     interrupted: bool = False
+    storage_failure: str = ""
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
 
     @property
@@ -211,7 +216,8 @@ def run(
         camera: intrinsics of the frames.
         config: settings.
         observer: called after every frame and final step; `combined` makes one of several.
-        storage: folder for the images of old keyframes and views; without one they stay in memory.
+        storage: folder for the images of old keyframes and views; without one, or when it can't be written,
+            they stay in memory.
         resumed: a run to go on with; `frames` begin where it stopped.
         realtime: map in a thread of its own, in the time that tracking leaves. Otherwise each frame and each
             view has its number of map steps, and a run repeats itself to the bit.
@@ -228,7 +234,7 @@ def run(
     kept = config.mapping.views_in_memory
 
     def spill_map(mapping: MapState) -> MapState:
-        return mapping if storage is None else spill_views(mapping, storage, kept)
+        return _stored(result, mapping, storage, lambda m, folder: spill_views(m, folder, kept))
 
     kind = ThreadedMapWorker if realtime else InlineMapWorker
     worker = kind(result.state, result.stopwatch, spill_map)
@@ -278,9 +284,7 @@ def _advance(
     except FrameError as error:
         found = error
     else:
-        state = replace(state, mapping=worker.mapping)
-        if storage is not None:
-            state = spill(state, storage)
+        state = _stored(run, replace(state, mapping=worker.mapping), storage, spill)
     # All at once, so that an interruption finds the frame either done or not begun. Numbers that were left
     # out are frames that came too fast.
     run.state = state
@@ -288,6 +292,18 @@ def _advance(
     run.num_dropped += number - run.num_frames
     run.num_frames = number + 1
     return found
+
+
+def _stored(run: Run, value: _T, storage: Path | None, put: Callable[[_T, Path], _T]) -> _T:
+    """A state whose old images are on disk; as it was without a folder, or if that can't be written."""
+    if storage is None or run.storage_failure:
+        return value
+    try:
+        return put(value, storage)
+    except (OSError, InputError) as error:
+        # A full disk may cost memory, but not the run.
+        run.storage_failure = excerpt(error)
+        return value
 
 
 def _end_mapping(run: Run, worker: MapWorker) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import jax
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, remove_unfinished, write_atomically
 from sfgs_jax.geometry import Camera, format_covariances, format_tum
 from sfgs_jax.sensors import EXPOSURE_FILE, SENSOR_FILE, format_gains
 from sfgs_jax.slam.run._driver import Run
@@ -60,6 +60,7 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
                 f"The output folder {folder} is not empty (it holds {present[0]}): choose another with "
                 "--out, or pass --overwrite to replace an earlier run."
             )
+        remove_unfinished(folder, *OUTPUT_FILES, GROUND_TRUTH_FILE)
         for name in (*OUTPUT_FILES, GROUND_TRUTH_FILE):
             (folder / name).unlink(missing_ok=True)
         shutil.rmtree(folder / STORAGE, ignore_errors=True)
@@ -69,6 +70,29 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
         raise InputError(
             f"The output folder {folder} cannot be written ({error.strerror}): choose another with --out."
         ) from error
+
+
+def resume_folder(folder: Path) -> Path:
+    """The folder's storage, for `load_run`; temporary files of a run that was killed are removed.
+
+    Args:
+        folder: of the run that was stopped.
+
+    Raises:
+        InputError: it holds nothing to go on from, or can't be written.
+    """
+    storage = folder / STORAGE
+    if not storage.is_dir():
+        raise InputError(
+            f"{folder} holds no run that could be resumed: it has ended, or was stopped before its first "
+            "checkpoint; --overwrite starts it again."
+        )
+    try:
+        remove_unfinished(folder, *OUTPUT_FILES, GROUND_TRUTH_FILE)
+        remove_unfinished(storage, "*.safetensors")
+    except OSError as error:
+        raise InputError(f"The output folder {folder} cannot be written ({error.strerror}).") from error
+    return storage
 
 
 def write_run(run: Run, folder: Path) -> None:

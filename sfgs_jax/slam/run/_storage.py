@@ -25,7 +25,7 @@ from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
 from sfgs_jax.slam.state import Adjustment, Edge, Keyframe, MapState, SlamState, View
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 9
+FORMAT_VERSION = 10
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -168,13 +168,13 @@ def _image_file(folder: Path, kind: str, number: int) -> Path:
 def _write_once(path: Path, images: Any) -> None:
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_tensors(path, _named(images), {})
+        write_tensors(path, _named(images), {"name": path.name})
 
 
 def _read_images(path: Path, like: _T) -> _T:
-    tensors, _ = read_tensors(path)
+    tensors, metadata = read_tensors(path)
     names = list(_named(like))
-    if set(names) != set(tensors):
+    if set(names) != set(tensors) or metadata.get("name") != path.name:
         raise InputError(f"{path} holds other images than this run's.")
     return jax.tree.unflatten(jax.tree.structure(like), [tensors[name] for name in names])
 
@@ -197,12 +197,19 @@ def _without_images(state: SlamState) -> SlamState:
 
 def _read_state(folder: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     if (folder / _FORMER_STATE_FILE).exists() and not (folder / STATE_FILE).exists():
-        raise InputError(f"{folder} holds a state of an earlier version of sfgs_jax: start the run anew.")
+        raise InputError(
+            f"{folder} holds a state of an earlier version of sfgs_jax: start the run again with --overwrite."
+        )
+    if not (folder / STATE_FILE).exists():
+        raise InputError(
+            f"{folder} holds no checkpoint, since the run was stopped before its first one was complete: "
+            "start it again with --overwrite."
+        )
     tensors, metadata = read_tensors(folder / STATE_FILE)
     if metadata.get("version") != str(FORMAT_VERSION):
         raise InputError(
             f"{folder} holds a state of format {metadata.get('version')}, this version reads format "
-            f"{FORMAT_VERSION}: start the run anew."
+            f"{FORMAT_VERSION}: start the run again with --overwrite."
         )
     return tensors, metadata
 

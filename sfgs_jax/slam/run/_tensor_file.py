@@ -1,5 +1,9 @@
-"""Named arrays in a safetensors file that is mapped into memory: they are read when they are looked at."""
+"""Named arrays in a safetensors file that is mapped into memory: they are read when they are looked at.
 
+A checksum of the whole file stands among its metadata, so that a changed bit or a missing page is found.
+"""
+
+import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -7,13 +11,16 @@ from pathlib import Path
 
 import numpy as np
 from jax.typing import ArrayLike
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, write_atomically
 
 _DTYPES = {"BOOL": "?", "U8": "<u1", "I32": "<i4", "I64": "<i8", "F32": "<f4", "F64": "<f8"}
 _LENGTH_BYTES = 8
+_KEY = "checksum"
+_DIGEST_BYTES = 16
+_BLANK = "0" * (2 * _DIGEST_BYTES)
+"""In the checksum's place while it is computed."""
 
 
 def write_tensors(path: Path, tensors: Mapping[str, ArrayLike], metadata: Mapping[str, str]) -> None:
@@ -22,14 +29,15 @@ def write_tensors(path: Path, tensors: Mapping[str, ArrayLike], metadata: Mappin
     Args:
         path: of the file.
         tensors: arrays by name.
-        metadata: text by name.
+        metadata: text by name; the name "checksum" is taken.
 
     Raises:
         OSError: the file can't be written.
     """
     # Not `ascontiguousarray`, which would make a vector of a scalar.
     arrays = {name: np.asarray(array, order="C") for name, array in tensors.items()}
-    write_atomically(path, save(arrays, metadata=dict(metadata)))
+    content = save(arrays, metadata={**metadata, _KEY: _BLANK})
+    write_atomically(path, content.replace(_entry(_BLANK), _entry(_digest(content).hexdigest()), 1))
 
 
 def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -39,25 +47,36 @@ def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         path: of the file.
 
     Raises:
-        InputError: the file is missing, damaged or shorter than it says.
+        InputError: the file is missing, or is not as it was written.
     """
     try:
-        # Refuses headers that don't fit the file.
-        with safe_open(path, framework="numpy") as file:
-            metadata = dict(file.metadata() or {})
-        with path.open("rb") as raw:
-            length = int.from_bytes(raw.read(_LENGTH_BYTES), "little")
-            header = json.loads(raw.read(length))
-        header.pop("__metadata__", None)
-        size = path.stat().st_size - _LENGTH_BYTES - length
-        data = (
-            np.memmap(path, np.uint8, mode="r", offset=_LENGTH_BYTES + length)
-            if size
-            else np.zeros(0, np.uint8)
-        )
+        content = np.memmap(path, np.uint8, mode="r")
+        start = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES].tobytes(), "little")
+        if start > len(content):
+            raise ValueError("it is cut off")
+        head = content[:start].tobytes()
+        header = json.loads(head[_LENGTH_BYTES:])
+        metadata = header.pop("__metadata__")
+        found = metadata.pop(_KEY)
+        digest = _digest(head.replace(_entry(found), _entry(_BLANK), 1))
+        digest.update(content[start:])
+        if digest.hexdigest() != found:
+            raise ValueError("its content is not what its checksum says")
+        data = content[start:]
         return {name: _array(data, entry) for name, entry in header.items()}, metadata
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} can't be read as a saved state: {error}.") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(
+            f"{path} can't be read as a saved state ({excerpt(error)}): it is damaged or of another version."
+        ) from None
+
+
+def _entry(digest: str) -> bytes:
+    """The checksum's place among the metadata, whose quotes can't be part of another text."""
+    return f'"{_KEY}":"{digest}"'.encode()
+
+
+def _digest(content: bytes) -> "hashlib.blake2b":
+    return hashlib.blake2b(content, digest_size=_DIGEST_BYTES)
 
 
 def _array(data: np.ndarray, entry: dict) -> np.ndarray:

@@ -10,6 +10,9 @@ from scipy.special import logit
 from sfgs_jax.arrays import InputError
 from sfgs_jax.splatting._gaussians import Gaussians
 
+_LARGEST = {"means": 1e7, "quaternions": 1e7, "log_scales": 25.0, "opacity_logits": 1e4, "sh": 1e4}
+"""Metres, and what no optimisation reaches."""
+
 
 def loaded(
     path: Path,
@@ -23,7 +26,8 @@ def loaded(
     """Valid Gaussians in float32, with the units and shapes of `Gaussians`.
 
     Raises:
-        InputError: a value is not finite or a quaternion is zero; the message names `path`.
+        InputError: a value is not finite or far beyond that of any map, or a quaternion is zero; the message
+            names `path`.
     """
     values = {
         "means": means,
@@ -35,6 +39,8 @@ def loaded(
     for name, value in values.items():
         if not np.all(np.isfinite(value)):
             raise InputError(f"{path}: {name} hold values that are not finite; the file is damaged.")
+        if not np.all(np.abs(value) < _LARGEST[name]):
+            raise InputError(f"{path}: {name} hold values beyond {_LARGEST[name]:g}; the file is damaged.")
     if not np.all(np.any(quaternions != 0, axis=1)):
         raise InputError(f"{path}: a quaternion is zero; the file is damaged.")
     arrays = {name: jnp.asarray(value.astype(np.float32)) for name, value in values.items()}

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting.files._loaded import loaded
 
@@ -118,11 +118,25 @@ def _read_vertices(path: Path) -> np.ndarray:
         with path.open("rb") as file:
             elements = PlyData.read(file)
         names = {element.name for element in elements}
-    except (OSError, PlyParseError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"Cannot read {path} as a PLY file: {error}.") from error
+    except Exception as error:  # plyfile raises whatever a broken header trips
+        raise InputError(f"Cannot read {path} as a PLY file: {excerpt(error)}.") from error
     if "vertex" not in names:
         raise InputError(f"{path} has no 'vertex' element; it is not a Gaussian splatting file.")
-    return elements["vertex"].data
+    vertices = elements["vertex"].data
+    _require_end(elements, path)
+    return vertices
+
+
+def _require_end(elements: PlyData, path: Path) -> None:
+    """Raise InputError if a binary file has more rows than its header says."""
+    rows = [element.data for element in elements]
+    if elements.text or any(row.dtype.hasobject for row in rows):
+        return
+    content = path.read_bytes()
+    header = content.find(b"end_header") + len(b"end_header") + 2
+    rest = len(content) - header - sum(row.nbytes for row in rows)
+    if rows and rest >= rows[-1].dtype.itemsize:
+        raise InputError(f"{path} has {rest} bytes more than its header says; the file is damaged.")
 
 
 def _require_rows(content: bytes) -> None:

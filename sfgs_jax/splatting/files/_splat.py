@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit, log_expit
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh, sh_to_rgb
 from sfgs_jax.splatting.files._loaded import loaded, logits_of_bytes
@@ -54,7 +54,7 @@ def load_splat(path: Path | str) -> Gaussians:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise InputError(f"Cannot read {path} as a .splat file: {error}.") from error
+        raise InputError(f"Cannot read {path} as a .splat file: {excerpt(error)}.") from error
     if not content or len(content) % _RECORD.itemsize:
         raise InputError(
             f"{path} is no .splat file, or cut off: it has {len(content)} bytes, and a Gaussian has "

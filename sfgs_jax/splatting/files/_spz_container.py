@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.splatting.files._spz_streams import COEFFICIENTS, stream_sizes
 
 Version = Literal[3, 4]
@@ -78,7 +78,7 @@ def _unpacked_gzip(content: bytes) -> tuple[Header, list[bytes]]:
         sizes = stream_sizes(header.num_gaussians, header.coefficients)
         body = stream.decompress(stream.unconsumed_tail, sum(sizes) + 1)
     except zlib.error as error:
-        raise ValueError(f"its gzip stream is damaged ({error})") from error
+        raise ValueError(f"its gzip stream is damaged ({excerpt(error)})") from error
     if len(body) != sum(sizes) or not stream.eof:
         raise ValueError(f"it should hold {sum(sizes)} bytes for its {header.num_gaussians} Gaussians")
     ends = list(itertools.accumulate(sizes, initial=0))
@@ -124,7 +124,7 @@ def _decompressed(frame: bytes, size: int) -> bytes:
     try:
         raw = decompressor.decompress(frame, size + 1)
     except zstd.ZstdError as error:
-        raise ValueError(f"a stream is damaged ({error})") from error
+        raise ValueError(f"a stream is damaged ({excerpt(error)})") from error
     if len(raw) != size or not decompressor.eof:
         raise ValueError("a stream has another size than the table says")
     return raw

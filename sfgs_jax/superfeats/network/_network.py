@@ -55,9 +55,12 @@ class NetworkConfig:
     """Channels of the detection branch's module that looks at neighbouring cells; at least 1."""
 
     def __post_init__(self) -> None:
+        numbers = (*self.channels, *self.bottlenecks, self.context)
+        whole = all(isinstance(number, int) and not isinstance(number, bool) for number in numbers)
         even = all(channels > 0 and channels % 2 == 0 for channels in self.channels)
         counts = (*self.bottlenecks, self.context - 1)
-        if (len(self.channels), len(self.bottlenecks)) != (4, 4) or not even or min(counts) < 0:
+        lengths = len(self.channels), len(self.bottlenecks)
+        if not whole or lengths != (4, 4) or not even or min(counts) < 0:
             raise InputError(
                 f"{self}: four levels need even positive channels and bottlenecks of 0 or more, "
                 "and context must be positive."

@@ -8,9 +8,12 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, write_atomically
 from sfgs_jax.superfeats.network._layers import fold
 from sfgs_jax.superfeats.network._network import Network, NetworkConfig, initialise_network
+
+# Beyond it activations overflow.
+_LARGEST = 1e6
 
 
 def save_weights(path: Path | str, network: Network) -> None:
@@ -35,7 +38,8 @@ def load_weights(path: Path | str | None = None, *, config: NetworkConfig | None
         config: widths of the network in the file; None means the defaults.
 
     Raises:
-        InputError: the file is missing, is no safetensors file, or holds other arrays than the network.
+        InputError: the file is missing, is no safetensors file, holds other arrays than the network, or
+            a value that is not finite.
     """
     shipped = files("sfgs_jax.superfeats.network") / "superfeats.safetensors"
     source = Path(path) if path is not None else shipped
@@ -43,12 +47,14 @@ def load_weights(path: Path | str | None = None, *, config: NetworkConfig | None
         found = load(source.read_bytes())
     except FileNotFoundError:
         raise InputError(f"There is no {source}.") from None
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"{source} can't be read as a safetensors file: {error}") from None
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{source} can't be read as a safetensors file: {excerpt(error)}") from None
     shapes = jax.eval_shape(lambda: fold(initialise_network(jax.random.key(0), config or NetworkConfig())))
     wanted = {_name(place): leaf.shape for place, leaf in jax.tree_util.tree_leaves_with_path(shapes)}
     if {name: array.shape for name, array in found.items()} != wanted:
         raise InputError(f"{source} holds no SuperFeats network of these widths.")
+    if not all(array.dtype == np.float32 and np.all(np.abs(array) < _LARGEST) for array in found.values()):
+        raise InputError(f"{source} holds weights that are not float32, or not finite; the file is damaged.")
     # All at once: one by one, each shape would compile a program of its own.
     return jax.device_put(jax.tree_util.tree_map_with_path(lambda place, _: found[_name(place)], shapes))
 

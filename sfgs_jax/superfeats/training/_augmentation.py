@@ -1,12 +1,13 @@
 """Augmentation: changes of view, light and sight that make training pairs of single images, on the host."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, check_range
 
 _MAX_SHRINKAGE = 4.0
 """Largest shrinkage of an image by a view that the blur against aliasing follows."""
@@ -34,8 +35,9 @@ class ViewConfig:
 
     def __post_init__(self) -> None:
         low, high = self.scale
-        if min(self.max_rotation_deg, self.translation) < 0 or not 0 < low <= high:
-            raise InputError(f"{self}: rotation and translation must not be negative, and 0 < least scale.")
+        check_range(self, 0, math.inf, "max_rotation_deg", "translation")
+        if not 0 < low <= high < math.inf:
+            raise InputError(f"{self}: the scales must be finite, and 0 < least scale <= greatest.")
         if not 0 <= self.perspective < 0.5:
             raise InputError(f"{self}: corners that move by half a side or more turn the view inside out.")
 
