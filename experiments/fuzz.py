@@ -112,7 +112,7 @@ def _limited() -> Iterator[None]:
 
 def main() -> None:
     """Print the table; defects are listed below it."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description="Damaged files of every format, and what becomes of them.")
     parser.add_argument("names", nargs="*", help="formats; all without any")
     parser.add_argument("--inputs", type=int, default=2000, help="damaged inputs of each format")
     parser.add_argument("--seed", type=int, default=0, help="of the damages")

@@ -13,6 +13,7 @@ from typing import Any
 
 import cv2
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from sfgs_jax import factor_graph, gicp, sensors, slam, splatting, superfeats
@@ -242,14 +243,13 @@ def _single_files() -> dict[str, Format]:
     random = np.random.default_rng(1)
     n = 8
     gaussians = splatting.Gaussians(
-        random.normal(size=(n, 3)).astype(np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
-        np.full((n, 3), -3, np.float32),
-        np.zeros(n, np.float32),
-        random.normal(size=(n, 4, 3)).astype(np.float32),
-        np.ones(n, bool),
+        jnp.asarray(random.normal(size=(n, 3)), jnp.float32),
+        jnp.asarray(np.tile([1.0, 0, 0, 0], (n, 1)), jnp.float32),
+        jnp.asarray(np.full((n, 3), -3), jnp.float32),
+        jnp.asarray(np.zeros(n), jnp.float32),
+        jnp.asarray(random.normal(size=(n, 4, 3)), jnp.float32),
+        jnp.asarray(np.ones(n, bool)),
     )
-    gaussians = jax.device_put(gaussians)
     points = random.normal(size=(20, 3))
     config = RunConfig("synthetic", "synthetic", ReaderOptions(), slam.SlamConfig(), None)
     tensors = {"a": np.arange(40, dtype=np.float32), "b": np.asarray(5), "c": np.zeros((0, 7))}

@@ -19,6 +19,7 @@ _UPPER = np.triu_indices(6)
 # Beyond it float32 ends soon.
 _LARGEST = 1e30
 _LEAST_QUATERNION = 1e-15
+_LONGEST = 40
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def _read_lines(path: Path | str) -> _Lines:
                     lines.fixed.update(map(_whole, words))
                 elif tag and not tag.startswith("PARAMS_"):
                     raise InputError(
-                        f"Cannot read {where}: {excerpt(tag)} is not one of {_VERTEX}, {_EDGE}, {_FIX}; "
+                        f"Cannot read {where}: {tag[:_LONGEST]} is not one of {_VERTEX}, {_EDGE}, {_FIX}; "
                         "convert the graph to 3-D poses and edges between them."
                     )
             except (ValueError, IndexError):

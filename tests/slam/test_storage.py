@@ -56,7 +56,7 @@ def test_a_saved_state_goes_on_to_the_same_end(room, frames, busy, tmp_path):
     file.write_bytes(file.read_bytes()[:-4096])
     with pytest.raises(InputError, match="can't be read as a saved state"):
         slam.load(tmp_path, busy)
-    with pytest.raises(InputError, match="holds no checkpoint, .* --overwrite"):
+    with pytest.raises(InputError, match=r"holds no checkpoint, .* --overwrite"):
         slam.load(tmp_path / "nowhere", busy)
 
 
@@ -124,3 +124,62 @@ def test_arrays_of_every_kind_come_back(tmp_path, rng):
         assert a.dtype == found[name].dtype
         assert a.shape == found[name].shape
         np.testing.assert_array_equal(a, found[name])
+
+
+def test_every_damage_to_a_file_is_found(tmp_path, rng):
+    path = tmp_path / "a"
+    write_tensors(
+        path, {"matrix": rng.random((3, 4)).astype(np.float32), "flag": np.asarray(True)}, {"name": "x"}
+    )
+    content = path.read_bytes()
+    flipped = [
+        content[:i] + bytes([content[i] ^ 1 << bit]) + content[i + 1 :]
+        for i in range(len(content))
+        for bit in (0, 6)
+    ]
+    cut = [content[:i] for i in range(len(content))]
+    half = len(content) // 2
+    zeroed = [
+        content[:half] + bytes(len(content) - half),
+        bytes(len(content)),
+        content + b"\0",
+        b"[" * 10_000,
+    ]
+    for damaged in (*flipped, *cut, *zeroed):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="can't be read as a saved state") as caught:
+            read_tensors(path)
+        assert len(str(caught.value).replace(str(path), "")) < 250
+    path.write_bytes(content)
+    assert read_tensors(path)[0]["flag"]
+
+
+def test_a_file_in_anothers_place_is_found(room, frames, busy, tmp_path):
+    state = follow(slam.init(room.camera, busy), frames[:3])
+    slam.save(state, tmp_path)
+    first, second, *_ = sorted(tmp_path.glob("view-*"))
+    first.write_bytes(second.read_bytes())
+    with pytest.raises(InputError, match="other images"):
+        slam.load(tmp_path, busy)
+
+
+def test_a_full_disk_does_not_end_a_run(room, frames, busy, tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    found = slam.run(enumerate(frames[:6]), room.camera, busy, storage=tmp_path / "file")
+    assert "exists" in found.storage_failure or "directory" in found.storage_failure
+    assert found.num_frames == 6
+    assert len(found.state.mapping.views) > 1
+    assert not any(isinstance(view.rgb, np.memmap) for view in found.state.mapping.views)
+
+
+def test_a_run_that_is_taken_up_again_clears_up(tmp_path):
+    with pytest.raises(InputError, match=r"before its first checkpoint; --overwrite"):
+        slam.resume_folder(tmp_path)
+    (tmp_path / "state").mkdir()
+    left = [".config.json.ab12cd_9", "state/.view-000001.safetensors.abcdefgh"]
+    others = [".profile", ".my.config", "state/view-000001.safetensors"]
+    for name in left + others:
+        (tmp_path / name).write_text("")
+    assert slam.resume_folder(tmp_path) == tmp_path / "state"
+    assert not any((tmp_path / name).exists() for name in left)
+    assert all((tmp_path / name).exists() for name in others)

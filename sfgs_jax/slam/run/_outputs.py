@@ -60,9 +60,8 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
                 f"The output folder {folder} is not empty (it holds {present[0]}): choose another with "
                 "--out, or pass --overwrite to replace an earlier run."
             )
-        names = (*OUTPUT_FILES, GROUND_TRUTH_FILE)
-        remove_unfinished(folder, *names)
-        for name in names:
+        remove_unfinished(folder, *OUTPUT_FILES, GROUND_TRUTH_FILE)
+        for name in (*OUTPUT_FILES, GROUND_TRUTH_FILE):
             (folder / name).unlink(missing_ok=True)
         shutil.rmtree(folder / STORAGE, ignore_errors=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -89,7 +88,7 @@ def resume_folder(folder: Path) -> Path:
             "checkpoint; --overwrite starts it again."
         )
     try:
-        remove_unfinished(folder, *OUTPUT_FILES)
+        remove_unfinished(folder, *OUTPUT_FILES, GROUND_TRUTH_FILE)
         remove_unfinished(storage, "*.safetensors")
     except OSError as error:
         raise InputError(f"The output folder {folder} cannot be written ({error.strerror}).") from error

@@ -133,7 +133,7 @@ def _require_end(elements: PlyData, path: Path) -> None:
     if elements.text or any(row.dtype.hasobject for row in rows):
         return
     content = path.read_bytes()
-    header = content.find(b"end_header") + len(b"end_header") + 2
+    header = content.find(b"end_header") + len(b"end_header\n")
     rest = len(content) - header - sum(row.nbytes for row in rows)
     if rows and rest >= rows[-1].dtype.itemsize:
         raise InputError(f"{path} has {rest} bytes more than its header says; the file is damaged.")
