@@ -375,7 +375,7 @@ def test_a_folder_that_holds_no_run_is_named(finished, tmp_path, capsys):
         (["run", "synthetic", "--sensors", "nothere.json"], "Cannot read the sensors in nothere.json"),
         (["run", "synthetic", "--reader.stride", "0"], "stride must be a whole number of at least 1, not 0"),
         (["eval", "runs/x", "--every", "0"], "every must be a whole number of at least 1, not 0"),
-        (["view", "runs/x", "--port", "70000"], "port must be a number between 1 and 65535, not 70000"),
+        (["view", "runs/x", "--port", "70000"], "port must be a number between 0 and 65535, not 70000"),
     ],
 )
 def test_wrong_settings_get_one_sentence(arguments, words, capsys):
