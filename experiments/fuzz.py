@@ -1,4 +1,4 @@
-"""Damaged files, many of them: each is refused in one sentence, or read as something that makes sense.
+"""Damaged files of every format: each is refused in one sentence, or read as something that makes sense.
 
 `python -m experiments.fuzz --inputs 2000` damages stand-ins of every format and counts what became of them.
 The same seed gives the same inputs.
@@ -22,7 +22,7 @@ from experiments.fuzz_mutations import mutated
 from sfgs_jax.arrays import InputError
 
 OUTCOMES = ("ok", "refused", "traceback", "over-long", "garbage", "hang", "memory")
-"""What becomes of an input; the last five are defects."""
+"""Fates of an input; the last five are defects."""
 
 LONGEST_MESSAGE = 600
 LONGEST_SECONDS = 20
@@ -36,7 +36,7 @@ class Hang(Exception):
 
 
 def outcome(kind: Format, folder: Path) -> tuple[str, str]:
-    """What becomes of the files in a folder, and a line about it.
+    """The fate of the files in a folder, and a line about it.
 
     Args:
         kind: the format of the files.

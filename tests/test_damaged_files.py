@@ -138,9 +138,9 @@ def test_a_configuration_that_is_none_is_refused(tmp_path, content):
 
 
 def test_points_and_maps_with_impossible_numbers_are_refused(tmp_path):
-    (tmp_path / "m.obj").write_text("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "p.xyz").write_text("0 0 0\nnan 0 0\n0 1 0\n")
     with pytest.raises(InputError, match="not finite"):
-        gicp.load_points(tmp_path / "m.obj")
+        gicp.load_points(tmp_path / "p.xyz")
     content = FORMATS["splat PLY"].files["map.ply"]
     (tmp_path / "map.ply").write_bytes(content.replace(b"vertex 8", b"vertex 7"))
     with pytest.raises(InputError, match="more than its header says"):

@@ -30,6 +30,8 @@ def load_points(path: Path | str) -> Float[np.ndarray, "N 3"]:
     parts = loaded.geometry.values() if isinstance(loaded, trimesh.Scene) else [loaded]
     kinds = trimesh.PointCloud, trimesh.Trimesh
     vertices = [np.asarray(part.vertices, np.float64) for part in parts if isinstance(part, kinds)]
+    if not all(part.ndim == 2 and part.shape[1] == 3 for part in vertices):
+        raise InputError(f"{path} has points that are not three numbers each; the file is damaged.")
     points = np.concatenate(vertices) if vertices else np.zeros((0, 3))
     if not len(points):
         raise InputError(f"{path} holds no points; give a point cloud such as a PLY file.")

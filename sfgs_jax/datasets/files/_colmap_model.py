@@ -81,7 +81,7 @@ def _intrinsics(model: str, width: int, height: int, parameters: Sequence[float]
     kinds = _PARAMETERS.get(model)
     if kinds is None:
         raise InputError(
-            f"{path}: cameras of the model {model} can't be read; undistort the images with COLMAP."
+            f"{path}: cameras of the model {model[:40]} can't be read; undistort the images with COLMAP."
         )
     if len(parameters) != len(kinds):
         raise InputError(f"{path}: a camera of the model {model} has {len(kinds)} parameters.")

@@ -122,7 +122,7 @@ def _units_per_metre(content: dict[str, Any], path: Path) -> float | None:
 
 def _intrinsics(entries: dict[str, Any], path: Path) -> Intrinsics:
     """Intrinsics of a frame: its own entries, and the file's where it has none."""
-    model = str(entries.get("camera_model", "OPENCV"))
+    model = str(entries.get("camera_model", "OPENCV"))[:40]
     if model not in _MODELS or entries.get("is_fisheye"):
         raise InputError(f"{path}: cameras of the model {model} can't be read; undistort the images first.")
     try:
