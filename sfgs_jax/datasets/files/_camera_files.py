@@ -128,7 +128,7 @@ def one_camera(cameras: Sequence[Intrinsics], source: Path) -> Intrinsics:
     first = cameras[0]
     numbers = np.asarray([(c.fx, c.fy, c.cx, c.cy) for c in cameras], np.float64)
     if not (np.abs(numbers) < 1e9).all():
-        raise InputError(f"The focal lengths and principal points of {source} should be numbers of pixels.")
+        raise InputError(f"The focal lengths and principal points of {source} should be finite numbers.")
     median = np.median(numbers, axis=0)
     focal, spread = float(median[0]), float(np.max(np.abs(numbers - median)))
     same = all(
@@ -171,7 +171,7 @@ def read_camera_json(path: Path) -> Intrinsics:
         values[key] = float(value)
     distortion = _distortion(content.get("distortion", []), path)
     unknown = sorted(set(content) - {*_NUMBERS, "distortion"})
-    notes = (f"{path} has entries that are not used: {excerpt(unknown)}.",) if unknown else ()
+    notes = (f"{path} has entries that are not used: {', '.join(unknown)[:100]}.",) if unknown else ()
     width, height = (int(values[key]) if key in values else None for key in ("width", "height"))
     return Intrinsics(
         fx=values["fx"],
