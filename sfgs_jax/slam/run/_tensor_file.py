@@ -59,7 +59,7 @@ def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         metadata = header.pop("__metadata__")
         found = metadata.pop(_KEY)
         digest = _digest(head.replace(_entry(found), _entry(_BLANK), 1))
-        digest.update(memoryview(content[start:]))
+        digest.update(content[start:].data)
         if digest.hexdigest() != found:
             raise ValueError("its content is not what its checksum says")
         data = content[start:]
