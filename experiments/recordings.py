@@ -1,14 +1,14 @@
 """Run the system on the synthetic room and the real recordings, and print the figures of each run.
 
-    python -m experiments.recordings [--realtime] [--out DIR] [NAME ...]
+    python -m experiments.recordings [--realtime] [--refine SECONDS] [--out DIR] [NAME ...]
 
 Each run is a process of its own, as a user would start it. So its time includes imports, compilation,
 evaluation and report, and its memory is its own. Real recordings are found through SFGS_DATA, by default
 `../shared`. *First frame* is the compilation of everything and the first frame with its mapping. *Frames/s
 with mapping* leaves it out, and counts the work of mapping in the loop, not that after the last frame. With
 --realtime recordings play by their own clock, and mapping runs beside tracking. Frames that came while
-another was tracked are *dropped*, and frames/s then say nothing. The table is in Markdown;
-experiments/results.md keeps the last one.
+another was tracked are *dropped*, and frames/s then say nothing. docs/evaluation.md explains the protocols of
+the PSNR. The table is in Markdown; experiments/results.md keeps the last one.
 """
 
 import argparse
@@ -24,6 +24,7 @@ DATA = Path(os.environ.get("SFGS_DATA", "../shared")) / "data"
 SOURCES = {
     "synthetic": "synthetic",
     "synthetic-noise": "synthetic:noise=1",
+    "synthetic-640": "synthetic:frames=120,width=640,height=480",
     "redkitchen": str(DATA / "7scenes" / "redkitchen"),
     "fr1_rpy": str(DATA / "tum" / "rgbd_dataset_freiburg1_rpy"),
 }
@@ -34,7 +35,12 @@ COLUMNS = (
     "dropped",
     "ATE RMSE cm",
     "PSNR all dB",
+    "gs_icp",
+    "with exposure",
+    "views / held out",
     "SSIM all",
+    "Gaussians",
+    "map steps",
     "tracking ms median / p95",
     "frames/s with mapping",
     "first frame s",
@@ -69,8 +75,11 @@ def measure(name: str, folder: Path, options: list[str]) -> tuple[str, ...]:
         str(frames["tracked"]),
         str(frames["dropped"]),
         f"{100 * metrics['ate']['rmse_m']:.2f}",
-        f"{metrics['psnr']['all']:.2f}",
+        *(f"{metrics['psnr'][protocol]:.2f}" for protocol in ("all", "gs_icp", "gs_icp_exposure")),
+        f"{metrics['psnr']['views']:.2f} / {metrics['psnr']['held_out']:.2f}",
         f"{metrics['ssim']['all']:.3f}",
+        str(metrics["map"]["gaussians"]),
+        str(metrics["map"]["steps"]),
         f"{tracking['median_ms']:.0f} / {tracking['p95_ms']:.0f}",
         f"{metrics['fps']['frames']:.1f}",
         f"{first:.1f}",
@@ -89,8 +98,10 @@ def main() -> None:
         "--out", type=Path, default=None, help="folder for the runs; a temporary one if not given"
     )
     parser.add_argument("--realtime", action="store_true", help="play the recordings by their own clock")
+    parser.add_argument("--refine", type=float, default=None, help="seconds of refinement")
     arguments = parser.parse_args()
     options = ["--realtime"] if arguments.realtime else []
+    options += [] if arguments.refine is None else ["--refine", str(arguments.refine)]
     out = arguments.out or Path(tempfile.mkdtemp(prefix="sfgs-recordings-"))
     rows = [measure(name, out / name, options) for name in arguments.names or SOURCES]
     print(f"\nruns: {out}\n")
