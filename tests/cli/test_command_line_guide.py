@@ -34,6 +34,22 @@ def section(title: str) -> str:
     return GUIDE.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
+@pytest.mark.parametrize("page", ["quick_start.md", "troubleshooting.md"])
+def test_options_of_other_pages_exist(page, capsys):
+    """Of the command that a line runs, else of `run`."""
+    text = (Path(__file__).parents[2] / "docs" / page).read_text()
+    checked = 0
+    for line in text.splitlines():
+        command = re.search(r"sfgs-jax ([a-z]+)", line)
+        name = (
+            command.group(1) if command and command.group(1) in ("run", "view", "export", "render") else "run"
+        )
+        if named := set(re.findall(r"--[a-z][a-z.-]*[a-z]", line)):
+            assert named <= flags_of(name, capsys), line
+        checked += len(named)
+    assert checked > 3
+
+
 @pytest.mark.parametrize("command", ["check", "run", "eval", "view", "render", "export"])
 def test_every_option_it_names_exists(command, capsys):
     # A group of options is written --reader.*

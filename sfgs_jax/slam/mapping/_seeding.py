@@ -1,7 +1,7 @@
 """New Gaussians where a view shows surface that the map lacks: small ones where there is detail.
 
-The image is divided like a quadtree. A cell that one colour and one surface fill gets a Gaussian of its size;
-any other is divided into four, down to the smallest size. So textured and bent surface gets many Gaussians
+The image is divided like a quadtree. A cell that one colour and one surface fill gets a Gaussian of its size.
+Any other is divided into four, down to the smallest size. So textured and bent surface gets many Gaussians
 and a bare wall few, as in section 3.2 of SFGS-SLAM.
 """
 
