@@ -214,10 +214,16 @@ def test_too_little_room_is_reported_and_the_stated_capacity_suffices():
 
 
 @pytest.mark.parametrize(
-    "setting", [{"near": 2.0, "far": 1.0}, {"near": 0.0}, {"tile_size": 0}, {"pair_capacity": 0}]
+    ("setting", "words"),
+    [
+        ({"near": 2.0, "far": 1.0}, "near must be below far"),
+        ({"near": 0.0}, "near must be a finite number above 0"),
+        ({"tile_size": 0}, "tile_size must be a whole number of at least 1"),
+        ({"pair_capacity": 0}, "pair_capacity must be a whole number of at least 1"),
+    ],
 )
-def test_settings_out_of_range_are_refused(setting):
-    with pytest.raises(InputError, match="near < far"):
+def test_settings_out_of_range_are_refused(setting, words):
+    with pytest.raises(InputError, match=words):
         RenderConfig(**setting)
 
 

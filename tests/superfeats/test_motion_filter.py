@@ -118,5 +118,6 @@ def test_a_batch_gives_what_its_pairs_give(rng):
     ],
 )
 def test_settings_out_of_range_are_refused(setting):
-    with pytest.raises(InputError, match="must not be negative"):
+    (name,) = setting
+    with pytest.raises(InputError, match=f"The setting {name} must be a"):
         MotionFilterConfig(**setting)
