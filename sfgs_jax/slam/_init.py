@@ -1,11 +1,13 @@
 """The state before the first frame."""
 
+import math
+
 from sfgs_jax.geometry import Camera, require_camera
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import init_tracker, offsets_in_use, tracker_params
 from sfgs_jax.slam.keyframes import prior_noise
-from sfgs_jax.slam.state import SlamState, empty_graph, empty_log, empty_map_state
+from sfgs_jax.slam.state import SlamState, empty_graph, empty_log, empty_map_state, mapping_camera
 
 
 def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel | None = None) -> SlamState:
@@ -23,12 +25,15 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
     require_camera(camera)
     config = config or SlamConfig()
     params = tracker_params(camera, config.tracking, sensors)
+    views = mapping_camera(camera, config.mapping)
     return SlamState(
         config=config,
         params=params,
         tracker=init_tracker(params),
         graph=empty_graph(offsets_in_use(params), prior_noise(config.graph)),
-        mapping=empty_map_state(config.mapping, timed=config.tracking.estimate_timing),
+        mapping=empty_map_state(
+            config.mapping, pixels=math.prod(views.shape), timed=config.tracking.estimate_timing
+        ),
         log=empty_log(),
         next_frame=0,
         last_timestamp=float("nan"),

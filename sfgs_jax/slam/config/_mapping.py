@@ -96,8 +96,9 @@ class MappingConfig:
     """Gaussians that the map has room for at first. It doubles when full."""
     max_capacity: int = 1_048_576
     """Gaussians beyond which the map does not grow. The number left out is reported."""
-    pair_capacity: int = 131_072
-    """Pairs of tile and Gaussian that a rendering has room for at first. It grows when a view needs more."""
+    pair_capacity: int = 0
+    """Pairs of tile and Gaussian that a rendering has room for at first; 0 means 1.7 for each pixel of a
+    view. It grows when a view needs more."""
     view_interval: int = 8
     """Frames between two views. A keyframe is a view too, unless an ordinary view was taken less than half
     an interval ago."""
@@ -105,8 +106,9 @@ class MappingConfig:
     """Views and keyframes whose images stay in memory. Older ones are kept on disk."""
     steps_per_frame: int = 0
     """Map steps after each tracked frame."""
-    steps_per_view: int = 1
-    """Map steps on a new view. The first comes before Gaussians are set where they are missing."""
+    steps_per_view: int = 0
+    """Map steps on a new view. The first comes before Gaussians are set where they are missing. With none the
+    view is only rendered, to see where they are."""
     max_view_shift: float = 0.15
     """Shift of the image since the last view with which a frame becomes a view at once, as a share of its
     width."""
@@ -130,7 +132,8 @@ class MappingConfig:
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
-        check_counts(self, 1, "max_width", "capacity", "pair_capacity")
+        check_counts(self, 1, "max_width", "capacity")
+        check_counts(self, 0, "pair_capacity")
         check_counts(self, 1, "view_interval", "prune_interval")
         check_counts(self, self.capacity, "max_capacity")
         check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")

@@ -16,7 +16,7 @@ from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
 from sfgs_jax.slam.mapping._seeding import uncovered
 from sfgs_jax.slam.state._gaussian_map import GaussianMap, Parameters, parameters, with_parameters
 from sfgs_jax.slam.state._map_state import View
-from sfgs_jax.splatting import RenderConfig, RenderOutput, l1, render, ssim
+from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, l1, render, ssim
 
 _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
 _MIN_ALPHA = 0.5
@@ -121,28 +121,41 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
         view: images to be like.
         T_world_cam: its pose when colour's middle row was exposed.
     """
-    rgb, depth = seen_by(view, params.camera, params.timing)
-    valid = jnp.asarray(view.valid)
-    shutter = None
-    if params.timing is not None:
-        shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
-    config = RenderConfig(pair_capacity=params.pair_capacity)
-
-    def loss_of(values: Parameters) -> tuple[Array, tuple[Array, Array, Array, Array]]:
-        gaussians = with_parameters(gaussian_map.gaussians, values)
-        out = render(gaussians, params.camera, T_world_cam, shutter=shutter, config=config)
-        lacking = uncovered(out, depth, params.seeding)
-        gain = seed_gain = jnp.ones(3)
-        if params.mean_gain is not None:
-            gain, seed_gain = _gains(jax.lax.stop_gradient(out), rgb, depth, valid & ~lacking, params.seeding)
-            # Only what tells this view from the others: the map itself keeps their mean.
-            out = replace(out, rgb=with_gain(out.rgb, gain / params.mean_gain))
-        loss = mapping_loss(out, rgb, depth, valid, params.config)
-        return loss, (lacking, gain, seed_gain, out.overflow)
-
+    loss_of = partial(_loss, params, gaussian_map.gaussians, view, T_world_cam)
     values = parameters(gaussian_map.gaussians)
     (loss, about), gradients = jax.value_and_grad(loss_of, has_aux=True)(values)
     return MapStep(_adam(gaussian_map, gradients, params.config, params.rate), loss, *about)
+
+
+@jax.jit
+def compare_with_map(
+    params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3
+) -> MapStep:
+    """What a map step finds, without the step: the map comes back as it was. Arguments as of `map_step`."""
+    values = parameters(gaussian_map.gaussians)
+    loss, about = _loss(params, gaussian_map.gaussians, view, T_world_cam, values)
+    return MapStep(gaussian_map, loss, *about)
+
+
+def _loss(
+    params: MapParams, gaussians: Gaussians, view: View, T_world_cam: jaxlie.SE3, values: Parameters
+) -> tuple[Array, tuple[Array, Array, Array, Array]]:
+    """Loss of the map with other values of its parameters, and the fields of `MapStep` behind it."""
+    rgb, depth = seen_by(view, params.camera, params.timing)
+    shutter = None
+    if params.timing is not None:
+        shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
+    config, valid = RenderConfig(pair_capacity=params.pair_capacity), jnp.asarray(view.valid)
+    drawn = with_parameters(gaussians, values)
+    out = render(drawn, params.camera, T_world_cam, shutter=shutter, config=config)
+    lacking = uncovered(out, depth, params.seeding)
+    gain = seed_gain = jnp.ones(3)
+    if params.mean_gain is not None:
+        gain, seed_gain = _gains(jax.lax.stop_gradient(out), rgb, depth, valid & ~lacking, params.seeding)
+        # Only what tells this view from the others: the map itself keeps their mean.
+        out = replace(out, rgb=with_gain(out.rgb, gain / params.mean_gain))
+    loss = mapping_loss(out, rgb, depth, valid, params.config)
+    return loss, (lacking, gain, seed_gain, out.overflow)
 
 
 def _gains(

@@ -10,7 +10,14 @@ from jaxtyping import Array, Float
 from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.sensors import SensorTiming, with_gain
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.mapping._map_step import MapParams, MapStep, map_step, prune, seen_by
+from sfgs_jax.slam.mapping._map_step import (
+    MapParams,
+    MapStep,
+    compare_with_map,
+    map_step,
+    prune,
+    seen_by,
+)
 from sfgs_jax.slam.mapping._seeding import seed
 from sfgs_jax.slam.state._frame_log import FrameLog
 from sfgs_jax.slam.state._gaussian_map import grow, move
@@ -95,7 +102,7 @@ def insert_view(
 ) -> tuple[MapState, float]:
     """Keep a view, and set Gaussians where the map lacks its surface. The map grows where it is full.
 
-    The first step on the view renders it, and that rendering tells where surface is missing.
+    A rendering of the view, which is that of the first step on it, tells where surface is missing.
 
     Args:
         mapping: the map, which knows of the view's keyframe.
@@ -107,10 +114,9 @@ def insert_view(
         The map state, and the loss of the map before.
     """
     mapping = replace(mapping, views=(*mapping.views, view))
-    stepped, done = step_on_view(mapping, -1, camera, config)
-    room, seed_gain = stepped.pair_capacity, np.asarray(done.seed_gain)
-    mapping = stepped if config.steps_per_view else replace(mapping, pair_capacity=room)
-    mapping = replace(mapping, views=(*mapping.views[:-1], replace(view, gain=seed_gain)))
+    mapping, done = step_on_view(mapping, -1, camera, config, learn=config.steps_per_view > 0)
+    view = replace(view, gain=np.asarray(done.seed_gain))
+    mapping = replace(mapping, views=(*mapping.views[:-1], view))
     T_world_cam, keyframe = _pose(view, mapping), jnp.asarray(view.keyframe, jnp.int32)
     rgb, depth = seen_by(view, camera, _timing(mapping))
     rgb = with_gain(rgb, 1 / done.seed_gain)
@@ -159,6 +165,7 @@ def step_on_view(
     config: MappingConfig,
     *,
     rate: float = 1.0,
+    learn: bool = True,
 ) -> tuple[MapState, MapStep]:
     """One map step on a view, with as much room for pairs as it needs.
 
@@ -168,6 +175,7 @@ def step_on_view(
         camera: of the views.
         config: settings.
         rate: factor on the learning rates.
+        learn: take the step; otherwise the view is only compared with the map.
 
     Returns:
         The map state after the step, and what the step found.
@@ -184,11 +192,13 @@ def step_on_view(
             seeding=config.seeding,
             pair_capacity=mapping.pair_capacity,
         )
-        done = map_step(params, mapping.map, view, T_world_cam)
+        done = (map_step if learn else compare_with_map)(params, mapping.map, view, T_world_cam)
         if not int(done.overflow):
             break
         need = pair_capacity(mapping.map.gaussians, camera, T_world_cam, headroom=_HEADROOM)
         mapping = replace(mapping, pair_capacity=max(need, 2 * mapping.pair_capacity))
+    if not learn:
+        return mapping, done
     num_steps, optimised = mapping.num_steps + 1, done.map
     if num_steps % config.prune_interval == 0:
         optimised = prune(optimised, config.prune_opacity)

@@ -26,7 +26,7 @@ from sfgs_jax.slam.keyframes import (
     insert_keyframe,
     rectified_anew,
 )
-from sfgs_jax.slam.mapping import prune
+from sfgs_jax.slam.mapping import prune, refine_once
 from sfgs_jax.slam.state import SlamState, move, with_graph_poses
 from sfgs_jax.slam.step import step
 
@@ -53,6 +53,7 @@ def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
         state, _ = step(state, frame)
     _compile_graph(state)
     _compile_lost(state)
+    refine_once(state.mapping, state.mapping_camera, state.config.mapping, number=0, done=0.0, seed=0)
     move(state.mapping.map, state.graph.poses[:1], state.graph.poses[:1])
     jax.block_until_ready(prune(state.mapping.map, state.config.mapping.prune_opacity))
 

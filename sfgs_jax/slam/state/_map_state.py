@@ -6,9 +6,12 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt8
 
-from sfgs_jax.arrays import pytree
+from sfgs_jax.arrays import bucket, pytree
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.state._gaussian_map import GaussianMap, empty_map
+
+_PAIRS_PER_PIXEL = 1.7
+"""Room for pairs at first: what views of a furnished room need once they are covered twice over."""
 
 
 @pytree
@@ -67,11 +70,12 @@ class MapState:
         return int(np.sum(self.map.gaussians.valid))
 
 
-def empty_map_state(config: MappingConfig, *, timed: bool) -> MapState:
+def empty_map_state(config: MappingConfig, *, pixels: int, timed: bool) -> MapState:
     """The map before the first frame.
 
     Args:
         config: settings.
+        pixels: of a view.
         timed: whether the times of the camera's rows are estimated.
     """
     return MapState(
@@ -80,6 +84,6 @@ def empty_map_state(config: MappingConfig, *, timed: bool) -> MapState:
         keyframe_poses=np.zeros((0, 7), np.float32),
         times=np.zeros(3, np.float32) if timed else None,
         num_steps=0,
-        pair_capacity=config.pair_capacity,
+        pair_capacity=config.pair_capacity or bucket(int(_PAIRS_PER_PIXEL * pixels), steps=2, smallest=1024),
         dropped_seeds=0,
     )
