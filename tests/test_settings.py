@@ -35,6 +35,7 @@ NOT_ZERO = {
     *("GraphConfig.capacity", "GraphConfig.registrations_per_frame", "GraphConfig.backlog"),
     *("GraphConfig.edge_sigma_metres", "GraphConfig.kernel_width", "GraphConfig.max_landmarks"),
     *("MappingConfig.max_width", "MappingConfig.capacity"),
+    *("MappingConfig.view_interval", "MappingConfig.prune_interval"),
     *("MappingConfig.max_view_shift", "SeedingConfig.min_cell", "SeedingConfig.max_cell"),
     *("SeedingConfig.opacity", "SeedingConfig.scale", "SeedingConfig.thickness", "SeedingConfig.max_depth"),
     *("ReaderOptions.depth_scale", "ReaderOptions.max_depth", "ReaderOptions.stride"),
