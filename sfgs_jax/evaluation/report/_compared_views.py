@@ -3,15 +3,16 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation._run_folder import PosedFrames
-from sfgs_jax.evaluation.images import OPAQUE, MapRenderer, psnr
+from sfgs_jax.evaluation.images import OPAQUE, MapRenderer, psnr_by_protocol
 from sfgs_jax.splatting import Gaussians
+
+_psnr = jax.jit(psnr_by_protocol)
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class ComparedView:
         depth: recorded depth, metres, 0 where missing.
         rendered_rgb: rendered image in [0, 1].
         rendered_depth: metres, 0 where the map is mostly transparent.
-        psnr: dB, of every pixel.
+        psnr: dB, by the protocol `all`.
     """
 
     index: int
@@ -76,7 +77,7 @@ def compared_views(
                 depth=np.asarray(frame.depth),
                 rendered_rgb=rendered,
                 rendered_depth=np.where(output.alpha > OPAQUE, output.depth, 0),
-                psnr=float(psnr(jnp.asarray(rendered), jnp.asarray(frame.rgb))),
+                psnr=float(_psnr(rendered, frame.rgb, frame.depth, frame.mask)["all"]),
             )
         )
     return views
