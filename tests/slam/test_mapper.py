@@ -151,6 +151,7 @@ def test_what_ends_the_decoder_is_raised():
 
 def test_a_run_in_real_time_tracks_and_maps(room, frames, config):
     numbered = [(i, frame) for i, frame in enumerate(frames) if i not in (4, 5)]
+    config = replace(config, mapping=replace(config.mapping, steps_per_view=1))
     result = slam.run(iter(numbered), room.camera, config, realtime=True)
     assert result.num_dropped == 2
     assert result.num_frames == len(frames)

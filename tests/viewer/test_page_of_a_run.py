@@ -102,7 +102,8 @@ def test_a_click_on_a_keyframe_takes_the_view_there(page, scene, received):
     page.page.wait_for_timeout(300)
     page.page.mouse.click(*pixel_of(scene, place))
     wait_until(page, lambda: np.allclose(client.camera.position, scene.frusta[1].position, atol=1e-3))
-    np.testing.assert_allclose(client.camera.fov, 2 * np.arctan(24 / 64), rtol=1e-3)
+    # The field of view comes in a message of its own.
+    wait_until(page, lambda: np.isclose(client.camera.fov, 2 * np.arctan(24 / 64), rtol=1e-3))
     np.testing.assert_allclose(scene.replay.position, scene.frusta[1].position, atol=1e-6)
     # Nothing of the path is drawn over the view from there.
     wait_until(
