@@ -39,7 +39,7 @@ def _spelled(name: str) -> str:
 
 
 def _text(kind: type, dotted: str) -> str:
-    """What an option does: the help that its field gives, else the docstring behind it."""
+    """Help of an option: that which its field gives, else the docstring behind the field."""
     first, _, rest = dotted.partition(".")
     hints = typing.get_type_hints(kind, include_extras=True)
     fields = {field.name: field for field in dataclasses.fields(typing.cast(Any, kind))}

@@ -1,4 +1,3 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from sfgs_jax.splatting import ssim
 _H, _W = 20, 24
 
 ALL = np.ones((_H, _W), bool)
-psnrs, ssims = jax.jit(psnr_by_protocol), jax.jit(ssim_by_protocol)
 
 
 @pytest.fixture
@@ -33,13 +31,13 @@ def test_psnr_of_known_errors():
 
 def test_equal_images_have_the_largest_figures(rgb, depth):
     for protocol in PROTOCOLS:
-        assert float(psnrs(rgb, rgb, depth, ALL)[protocol]) == pytest.approx(100)
-        assert float(ssims(rgb, rgb, depth, ALL)[protocol]) == pytest.approx(1)
+        assert float(psnr_by_protocol(rgb, rgb, depth, ALL)[protocol]) == pytest.approx(100)
+        assert float(ssim_by_protocol(rgb, rgb, depth, ALL)[protocol]) == pytest.approx(1)
 
 
 def test_pixels_without_depth_agree_and_count_in_masked_protocols(rgb, depth):
     """An error of 0.1 everywhere: three quarters of it are left where a quarter is set to zero."""
-    figures = psnrs(rgb + np.float32(0.1), rgb, depth, ALL)
+    figures = psnr_by_protocol(rgb + np.float32(0.1), rgb, depth, ALL)
     assert float(figures["all"]) == pytest.approx(20, abs=1e-4)
     assert float(figures["held_out"]) == pytest.approx(20, abs=1e-4)
     assert float(figures["gs_icp"]) == pytest.approx(20 - 10 * np.log10(0.75), abs=1e-4)
@@ -48,7 +46,10 @@ def test_pixels_without_depth_agree_and_count_in_masked_protocols(rgb, depth):
 
 def test_errors_where_depth_is_missing_count_only_in_unmasked_protocols(rgb, depth):
     rendered = np.where(depth[..., None] > 0, rgb, np.float32(0))
-    quality, structure = psnrs(rendered, rgb, depth, ALL), ssims(rendered, rgb, depth, ALL)
+    quality, structure = (
+        psnr_by_protocol(rendered, rgb, depth, ALL),
+        ssim_by_protocol(rendered, rgb, depth, ALL),
+    )
     for protocol in ("all", "held_out"):
         assert float(quality[protocol]) < 20
         assert float(structure[protocol]) < 0.9
@@ -60,7 +61,7 @@ def test_errors_where_depth_is_missing_count_only_in_unmasked_protocols(rgb, dep
 def test_splatam_averages_over_channels_in_decibels(rgb):
     """Errors of 0.1 in red and 0.01 in green and blue are 20, 40 and 40 dB."""
     error = np.asarray([0.1, 0.01, 0.01], np.float32)
-    figures = psnrs(rgb + error, rgb, np.ones((_H, _W), np.float32), ALL)
+    figures = psnr_by_protocol(rgb + error, rgb, np.ones((_H, _W), np.float32), ALL)
     assert float(figures["splatam"]) == pytest.approx((20 + 40 + 40) / 3, abs=1e-3)
     assert float(figures["gs_icp"]) == pytest.approx(-10 * np.log10((0.01 + 2e-4) / 3), abs=1e-3)
     assert float(figures["all"]) == pytest.approx(float(figures["gs_icp"]), abs=1e-3)
@@ -68,18 +69,22 @@ def test_splatam_averages_over_channels_in_decibels(rgb):
 
 def test_pixels_without_depth_do_not_count_in_depth(rgb, depth):
     error = np.where(depth[..., None] > 0, np.float32(0.1), np.float32(0.5))
-    assert float(psnrs(rgb * 0, rgb * 0 + error, depth, ALL)["depth"]) == pytest.approx(20, abs=1e-4)
+    assert float(psnr_by_protocol(rgb * 0, rgb * 0 + error, depth, ALL)["depth"]) == pytest.approx(
+        20, abs=1e-4
+    )
 
 
 def test_exposure_is_fitted_to_each_channel(rgb, depth):
     """A gain and an offset of each channel are taken out, what else differs stays."""
     gain, offset = np.asarray([0.8, 1.1, 0.9], np.float32), np.asarray([0.05, -0.02, 0.03], np.float32)
     other = (rgb - offset) / gain
-    assert float(psnrs(other, rgb, depth, ALL)["gs_icp"]) < 30
-    assert float(psnrs(other, rgb, depth, ALL)["gs_icp_exposure"]) > 60
-    assert float(ssims(other, rgb, depth, ALL)["gs_icp_exposure"]) > 0.999
+    assert float(psnr_by_protocol(other, rgb, depth, ALL)["gs_icp"]) < 30
+    assert float(psnr_by_protocol(other, rgb, depth, ALL)["gs_icp_exposure"]) > 60
+    assert float(ssim_by_protocol(other, rgb, depth, ALL)["gs_icp_exposure"]) > 0.999
     stripes = np.where(np.arange(_W)[:, None] % 2, np.float32(0.1), np.float32(-0.1))
-    left = float(psnrs(np.full_like(rgb, 0.5), 0.5 + stripes + 0 * rgb, depth, ALL)["gs_icp_exposure"])
+    left = float(
+        psnr_by_protocol(np.full_like(rgb, 0.5), 0.5 + stripes + 0 * rgb, depth, ALL)["gs_icp_exposure"]
+    )
     assert left == pytest.approx(20 - 10 * np.log10(0.75), abs=1e-3)
 
 
@@ -88,19 +93,19 @@ def test_pixels_beyond_the_lens_count_nowhere(rgb, depth):
     valid[:3] = False
     broken = np.where(valid[..., None], rgb, np.float32(0))
     for protocol in PROTOCOLS:
-        assert float(psnrs(rgb, broken, depth, valid)[protocol]) == pytest.approx(100)
-        assert float(ssims(rgb, broken, depth, valid)[protocol]) == pytest.approx(1)
+        assert float(psnr_by_protocol(rgb, broken, depth, valid)[protocol]) == pytest.approx(100)
+        assert float(ssim_by_protocol(rgb, broken, depth, valid)[protocol]) == pytest.approx(1)
 
 
 def test_rendered_colours_are_clipped(depth):
     white = np.ones((_H, _W, 3), np.float32)
-    assert float(psnrs(3 * white, white, depth, ALL)["all"]) == pytest.approx(100)
-    assert float(ssims(3 * white, white, depth, ALL)["all"]) == pytest.approx(1)
+    assert float(psnr_by_protocol(3 * white, white, depth, ALL)["all"]) == pytest.approx(100)
+    assert float(ssim_by_protocol(3 * white, white, depth, ALL)["all"]) == pytest.approx(1)
 
 
 def test_ssim_is_of_the_images_with_zeros(rgb, depth, rng):
     noisy = np.clip(rgb + 0.1 * rng.normal(size=rgb.shape), 0, 1).astype(np.float32)
-    figures = ssims(noisy, rgb, depth, ALL)
+    figures = ssim_by_protocol(noisy, rgb, depth, ALL)
     mask = (depth > 0)[..., None].astype(np.float32)
     for protocol, weight in (("all", np.float32(1)), ("gs_icp", mask)):
         expected = float(ssim(jnp.asarray(noisy * weight), jnp.asarray(rgb * weight)))
@@ -124,7 +129,7 @@ def test_held_out_frames_are_every_eighth_unless_a_run_used_them():
 
 def test_only_raw_shows_the_maps_own_colours(rgb, depth):
     own = rgb + np.float32(0.1)
-    figures = psnrs(rgb, rgb, depth, ALL, own)
+    figures = psnr_by_protocol(rgb, rgb, depth, ALL, own)
     assert float(figures["gs_icp_raw"]) == pytest.approx(20 - 10 * np.log10(0.75), abs=1e-4)
     assert min(float(figures[name]) for name in PROTOCOLS if name != "gs_icp_raw") == pytest.approx(100)
-    assert float(ssims(rgb, rgb, depth, ALL, own)["gs_icp_raw"]) < 0.999
+    assert float(ssim_by_protocol(rgb, rgb, depth, ALL, own)["gs_icp_raw"]) < 0.999

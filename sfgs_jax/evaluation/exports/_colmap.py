@@ -12,7 +12,7 @@ from jaxtyping import Float
 from sfgs_jax.arrays import write_atomically
 from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation._run_folder import PosedFrames
-from sfgs_jax.evaluation.exports._posed_images import empty_folder, posed_images, write_colour, write_depth
+from sfgs_jax.evaluation.exports._posed_images import written_images
 from sfgs_jax.geometry import Camera, quaternions_from_rotations
 from sfgs_jax.splatting import Gaussians, coloured_points
 
@@ -36,17 +36,13 @@ def write_colmap(path: Path, recording: Recording, posed: PosedFrames, gaussians
         InputError: the folder is not empty.
         OSError: a file can't be written.
     """
-    empty_folder(path)
-    model = path / "sparse" / "0"
-    for folder in (model, path / "images", path / "depth"):
-        folder.mkdir(parents=True)
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of points"]
     count = 0
-    for name, frame, pose in posed_images(recording, posed):
+    for name, _, pose in written_images(path, recording, posed):
         count += 1
-        write_colour(frame, path / "images" / name)
-        write_depth(frame, path / "depth" / name)
         lines += [f"{count} {_world_to_camera(pose)} 1 {name}", ""]
+    model = path / "sparse" / "0"
+    model.mkdir(parents=True)
     write_atomically(model / "cameras.txt", _cameras(recording.camera))
     write_atomically(model / "images.txt", "\n".join(lines) + "\n")
     write_atomically(model / "points3D.txt", _points(gaussians))

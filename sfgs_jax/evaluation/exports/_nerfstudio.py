@@ -15,10 +15,7 @@ from sfgs_jax.datasets.files import opencv_poses
 from sfgs_jax.evaluation._run_folder import PosedFrames
 from sfgs_jax.evaluation.exports._posed_images import (
     UNITS_PER_METRE,
-    empty_folder,
-    posed_images,
-    write_colour,
-    write_depth,
+    written_images,
 )
 from sfgs_jax.splatting import Gaussians, save_points
 
@@ -45,13 +42,8 @@ def write_nerfstudio(path: Path, recording: Recording, posed: PosedFrames, gauss
         InputError: the folder is not empty.
         OSError: a file can't be written.
     """
-    empty_folder(path)
-    for kind in ("images", "depth"):
-        (path / kind).mkdir()
     frames = []
-    for name, frame, pose in posed_images(recording, posed):
-        write_colour(frame, path / "images" / name)
-        write_depth(frame, path / "depth" / name)
+    for name, frame, pose in written_images(path, recording, posed):
         # The same half turn takes either program's camera axes to the other's.
         matrix = opencv_poses(np.asarray(pose)[None])[0]
         entry = {

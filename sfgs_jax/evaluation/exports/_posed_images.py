@@ -44,29 +44,37 @@ def encoded_colour(frame: Frame, suffix: str = ".png") -> bytes:
     return _encoded(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), suffix)
 
 
-def write_colour(frame: Frame, path: Path) -> None:
-    """Write the colour image in 8 bits."""
-    path.write_bytes(encoded_colour(frame, path.suffix))
+def written_images(
+    path: Path, recording: Recording, posed: PosedFrames
+) -> Iterator[tuple[str, Frame, Float[np.ndarray, "4 4"]]]:
+    """`posed_images`, each written before it is given: colour to `images`, depth in millimetres to `depth`.
 
-
-def write_depth(frame: Frame, path: Path) -> None:
-    """Write the depth image in millimetres."""
-    path.write_bytes(_encoded(depth_units(np.asarray(frame.depth), UNITS_PER_METRE), path.suffix))
-
-
-def empty_folder(path: Path) -> Path:
-    """Make a folder for an export.
+    Args:
+        path: folder, made if it is not there.
+        recording: the recording of the run.
+        posed: its frames with a pose.
 
     Raises:
-        InputError: it holds something already, or can't be made.
+        InputError: the folder holds something already, or can't be made.
+        OSError: a file can't be written.
     """
+    _make_empty_folder(path)
+    for kind in ("images", "depth"):
+        (path / kind).mkdir()
+    for name, frame, pose in posed_images(recording, posed):
+        units = depth_units(np.asarray(frame.depth), UNITS_PER_METRE)
+        (path / "images" / name).write_bytes(encoded_colour(frame))
+        (path / "depth" / name).write_bytes(_encoded(units, ".png"))
+        yield name, frame, pose
+
+
+def _make_empty_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()):
             raise InputError(f"{path} is not empty; give a new folder.")
     except OSError as error:
         raise InputError(f"The folder {path} can't be made ({error.strerror}).") from error
-    return path
 
 
 def _encoded(image: Shaped[np.ndarray, "h w *c"], suffix: str) -> bytes:

@@ -88,8 +88,8 @@ def evaluate_images(
             output = render(posed.poses[at], posed.shutter(at))
             image, recorded = posed.shown(at, output.rgb), (frame.rgb, frame.depth, frame.mask)
             own: list[Protocol] = [name for name in PROTOCOLS if members[name][index]]
-            psnrs = _psnr_by_protocol(image, *recorded, output.rgb)
-            ssims = _ssim_by_protocol(image, *recorded, output.rgb)
+            psnrs = psnr_by_protocol(image, *recorded, output.rgb)
+            ssims = ssim_by_protocol(image, *recorded, output.rgb)
             depth_l1, coverage = _geometry(output, frame.depth, frame.mask)
             distance = None
             if lpips_weights is not None and perceptual[index]:
@@ -132,10 +132,6 @@ def _geometry(
         jnp.mean(jnp.abs(output.depth - depth), where=both),
         jnp.mean(output.alpha, where=valid),
     )
-
-
-_psnr_by_protocol = jax.jit(psnr_by_protocol)
-_ssim_by_protocol = jax.jit(ssim_by_protocol)
 
 
 @jax.jit

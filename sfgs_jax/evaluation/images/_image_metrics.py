@@ -23,6 +23,7 @@ Source: the evaluation code of GS-ICP-SLAM (Ha et al., ECCV 2024) and SplaTAM (K
 
 from typing import Literal, assert_never, get_args
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -91,6 +92,7 @@ def with_exposure_of(
     return jnp.clip(gain * (rendered - means[0]) + means[1], 0, 1)
 
 
+@jax.jit
 def psnr_by_protocol(
     rendered: Float[Array, "H W 3"],
     rgb: Float[Array, "H W 3"],
@@ -133,6 +135,7 @@ def _mean_where(mask: Bool[Array, "H W"], values: Float[Array, "H W c"]) -> Floa
     return jnp.sum(jnp.where(mask[..., None], values, 0)) / jnp.maximum(count, 1)
 
 
+@jax.jit
 def ssim_by_protocol(
     rendered: Float[Array, "H W 3"],
     rgb: Float[Array, "H W 3"],

@@ -1,4 +1,4 @@
-"""What would spoil a run of a recording, found in a sample of its frames before the run.
+"""Faults of a recording that would spoil a run, found in a sample of its frames before the run.
 
 Each file asks one question. No answer is guessed: what the data can't tell is said to be unknown.
 """

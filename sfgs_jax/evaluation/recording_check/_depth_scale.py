@@ -28,7 +28,7 @@ _ODDS = 3.5
 
 @dataclass(frozen=True)
 class Habits:
-    """What depth and motion of hand-held recordings of rooms usually are.
+    """Depth and motion of a recording, to be compared with those of usual hand-held recordings of rooms.
 
     Attributes:
         median: median depth, metres.
@@ -190,7 +190,7 @@ def _habits(sample: RecordingSample, motions: Sequence[PairMotion]) -> Habits:
 
 
 def _advice(factor: float, units: float | None) -> str:
-    """How to correct depth that is too large by a factor."""
+    """Advice for depth that is too large by a factor."""
     if units is None:
         word = "multiply" if factor > 1 else "divide"
         return f"{word.capitalize()} depth_scale by {max(factor, 1 / factor):.4g}."

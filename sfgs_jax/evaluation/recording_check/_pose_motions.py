@@ -11,7 +11,7 @@ from sfgs_jax.geometry import Trajectory, rotation_vectors
 
 _LEAST_TURN = np.radians(1.5)
 _LEAST_MOVE = 0.03
-"""Of the scene's depth: a shorter translation has no direction."""
+"""Length of a translation as a share of the scene's depth; a shorter one has no direction."""
 _LARGEST_BEND = np.radians(60)
 """Angle between directions that counts as no agreement at all."""
 

@@ -12,8 +12,6 @@ from sfgs_jax.evaluation._run_folder import PosedFrames
 from sfgs_jax.evaluation.images import OPAQUE, MapRenderer, psnr_by_protocol
 from sfgs_jax.splatting import Gaussians
 
-_psnr = jax.jit(psnr_by_protocol)
-
 
 @dataclass(frozen=True)
 class ComparedView:
@@ -77,7 +75,7 @@ def compared_views(
                 depth=np.asarray(frame.depth),
                 rendered_rgb=rendered,
                 rendered_depth=np.where(output.alpha > OPAQUE, output.depth, 0),
-                psnr=float(_psnr(rendered, frame.rgb, frame.depth, frame.mask)["all"]),
+                psnr=float(psnr_by_protocol(rendered, frame.rgb, frame.depth, frame.mask)["all"]),
             )
         )
     return views

@@ -131,7 +131,7 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
 def compare_with_map(
     params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3
 ) -> MapStep:
-    """What a map step finds, without the step: the map comes back as it was. Arguments as of `map_step`."""
+    """All that `map_step` finds but no step: the map comes back as it was. Arguments as of `map_step`."""
     values = parameters(gaussian_map.gaussians)
     loss, about = _loss(params, gaussian_map.gaussians, view, T_world_cam, values)
     return MapStep(gaussian_map, loss, *about)

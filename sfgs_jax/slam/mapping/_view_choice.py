@@ -28,7 +28,9 @@ def image_shift(
     sample = depth[:: max(1, depth.shape[0] // 32), :: max(1, depth.shape[1] // 32)]
     known = sample[np.isfinite(sample) & (sample > 0)]
     distance = float(np.median(known)) if known.size else 1.0
-    K = np.asarray(camera.matrix(), np.float64)
+    # `camera.matrix` would run a dozen small programs, and this is done for every frame.
+    fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     right, bottom = camera.width - 1.0, camera.height - 1.0
     corners = np.array([[0, 0, 1], [right, 0, 1], [0, bottom, 1], [right, bottom, 1]])
     points = distance * corners @ np.linalg.inv(K).T
