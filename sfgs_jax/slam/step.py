@@ -16,7 +16,7 @@ from sfgs_jax.geometry import Frame, se3, warn_unless_metres
 from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth
-from sfgs_jax.slam.keyframes import advance_graph, motion_covariance, with_new_keyframes
+from sfgs_jax.slam.keyframes import advance_graph, motion_covariance, revisited, with_new_keyframes
 from sfgs_jax.slam.mapping import becomes_view, map_frame, view_of
 from sfgs_jax.slam.state import (
     PoseSource,
@@ -81,30 +81,25 @@ def follow(
     Arguments and errors as of `step`.
     """
     check_frame(frame, state.camera, state.last_timestamp)
-    number = state.next_frame if number is None else number
+    number, time = state.next_frame if number is None else number, float(frame.timestamp)
+    params, config, since = state.params, state.config.graph, time - state.last_timestamp
     with stages("tracking"):
-        since = float(frame.timestamp) - state.last_timestamp
-        tracker, found, relocalised = find_frame(
-            state.params, state.tracker, frame, since, state.graph, state.config.graph
-        )
-        info = _info(found, relocalised)
-    before, state = (
-        state,
-        replace(state, tracker=tracker, next_frame=number + 1, last_timestamp=float(frame.timestamp)),
-    )
+        tracker, found, by_looks = find_frame(params, state.tracker, frame, since, state.graph, config)
+        tracker, found = revisited(params, tracker, found, state.graph, config)
+        info = _info(found, by_looks)
+    before, state = state, replace(state, tracker=tracker, next_frame=number + 1, last_timestamp=time)
     if not info.tracked:
         state = replace(state, num_lost=state.num_lost + 1)
         return Followed(state, info._replace(T_world_cam=state.T_world_cam), None)
 
     with stages("graph"):
-        config, frames = state.config.graph, (before.log.newest, number)
-        params = state.params
+        frames = (before.log.newest, number)
         graph = with_new_keyframes(params, before.graph, before.tracker, tracker, found, frames, config)
         grown = len(graph.keyframes) > len(before.graph.keyframes)
         graph, closed = advance_graph(params, graph, config, grown=grown)
         state = with_graph(state, graph)
     keyframe, T_keyframe_cam, covariance = _place_in_graph(state, found, info)
-    log = state.log.with_frame(float(frame.timestamp), number, keyframe, T_keyframe_cam, covariance)
+    log = state.log.with_frame(time, number, keyframe, T_keyframe_cam, covariance)
     view = None
     if becomes_view(state, log, frame, new_keyframe=info.new_keyframe):
         factor = mapping_factor(state.camera, state.config.mapping)

@@ -68,7 +68,8 @@ def judge(evidence: Evidence) -> Int[Array, ""]:
         (alone & ~e.free & e.surface_allowed, PoseSource.SURFACE),
         (alone & e.free & e.motion_model_allowed, PoseSource.MOTION_MODEL),
     )
-    return jnp.select([when for when, _ in sources], [jnp.asarray(int(s)) for _, s in sources], 0)
+    numbers = [jnp.asarray(int(source), jnp.int32) for _, source in sources]
+    return jnp.select([when for when, _ in sources], numbers, jnp.zeros((), jnp.int32))
 
 
 def rests_on_surface(evidence: Evidence) -> Bool[Array, ""]:

@@ -157,6 +157,7 @@ def settle(
     return _remembered(tracker, seen, motion, found, tracked, could_be_keyframe & ~new_keyframe), info
 
 
+@partial(jax.jit, static_argnames="config", inline=True)
 def needs_keyframe(found: Registration, config: TrackingConfig) -> Bool[Array, ""]:
     """True if the camera has left the reference so far that the frame should be a keyframe.
 

@@ -13,6 +13,8 @@ from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import (
     Localised,
     features_in_use,
+    find_frame,
+    needs_keyframe,
     place,
     register,
     search_by_surface,
@@ -25,9 +27,10 @@ from sfgs_jax.slam.keyframes import (
     bend,
     insert_keyframe,
     rectified_anew,
+    return_to_keyframe,
 )
 from sfgs_jax.slam.mapping import prune, refine_once
-from sfgs_jax.slam.state import SlamState, move, with_graph_poses
+from sfgs_jax.slam.state import SlamState, move, reference_at, with_graph_poses
 from sfgs_jax.slam.step import step
 
 _DEPTH = 2.0
@@ -48,10 +51,11 @@ def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
     """
     state = init(camera, config)
     rgb = np.random.default_rng(0).random((*camera.shape, 3), np.float32)
+    frame = Frame(rgb, np.full(camera.shape, _DEPTH, np.float32), 0.0)
     for seconds in (0.0, 1.0):
-        frame = Frame(rgb, np.full(camera.shape, _DEPTH, np.float32), seconds)
-        state, _ = step(state, frame)
+        state, _ = step(state, replace(frame, timestamp=seconds))
     _compile_graph(state)
+    _compile_return(state, frame)
     _compile_lost(state)
     refine_once(state.mapping, state.mapping_camera, state.config.mapping, number=0, done=0.0, seed=0)
     move(state.mapping.map, state.graph.poses[:1], state.graph.poses[:1])
@@ -87,3 +91,13 @@ def _compile_lost(state: SlamState) -> None:
         search_by_surface(state.params, tracker, features)
     found = register(state.params, features, features, se3.identity())
     place(state.params, state.tracker, features, Localised(0, features, pose, found, False, True))
+
+
+def _compile_return(state: SlamState, frame: Frame) -> None:
+    """The return to a keyframe from before."""
+    graph = state.graph
+    tracker, info, _ = find_frame(state.params, state.tracker, frame, 1.0, graph, state.config.graph)
+    new, features = reference_at(tracker, tracker.current), graph.keyframes[0].features
+    again = register(state.params, new, features, se3.identity())
+    needs_keyframe(again, state.config.tracking)
+    return_to_keyframe(tracker, info, features, graph.poses[0], np.asarray(0, np.int32), again)

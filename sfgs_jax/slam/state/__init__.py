@@ -36,4 +36,5 @@ from sfgs_jax.slam.state._step_info import StepInfo as StepInfo
 from sfgs_jax.slam.state._step_info import untimed as untimed
 from sfgs_jax.slam.state._tracker import Tracker as Tracker
 from sfgs_jax.slam.state._tracker import TrackerParams as TrackerParams
+from sfgs_jax.slam.state._tracker import reference_at as reference_at
 from sfgs_jax.slam.state._tracker import with_graph_poses as with_graph_poses

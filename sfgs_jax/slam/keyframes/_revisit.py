@@ -1,0 +1,150 @@
+"""Return to a keyframe: a camera that stays in a place adds no keyframes there once it has enough of them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.stats import chi2
+
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import GraphConfig, TrackingConfig
+from sfgs_jax.slam.frontend import TrackInfo, features_in_use, needs_keyframe
+from sfgs_jax.slam.frontend._joint_registration import register
+from sfgs_jax.slam.frontend._pose_source import supports_edge
+from sfgs_jax.slam.keyframes._covariances import motion_covariance
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at
+
+_CONSISTENT = float(chi2.ppf(0.99, 6))
+"""Largest squared Mahalanobis distance between what the graph says and what the keyframe says: a hundredth of
+the frames that agree are farther off."""
+
+
+def revisited(
+    params: TrackerParams, tracker: Tracker, found: TrackInfo, graph: KeyframeGraph, config: GraphConfig
+) -> tuple[Tracker, TrackInfo]:
+    """Track on in a keyframe from before, where a frame became a keyframe that would add nothing.
+
+    It adds nothing if a keyframe is near that shows the same, and if the frame's registration to it agrees
+    with the graph within its noise. A larger disagreement is drift, which a new keyframe's edges will mend.
+
+    Args:
+        params: parameters of tracking.
+        tracker: after the frame.
+        found: what happened to the frame.
+        graph: keyframes before the frame.
+        config: settings.
+
+    Returns:
+        The tracker and what happened to the frame, changed where a keyframe was returned to.
+    """
+    added = config.enabled and bool(found.new_keyframe) and not bool(found.bridged)
+    if not (added and graph.keyframes):
+        return tracker, found
+    number = _nearest(graph, found, params.config, config)
+    if number is None:
+        return tracker, found
+    target = features_in_use(params, graph.keyframes[number])
+    expected = se3.compose(se3.inverse(graph.pose(number)), found.T_world_cam)
+    again = register(params, reference_at(tracker, tracker.current), target, expected)
+    off = np.asarray(se3.log(se3.compose(se3.inverse(expected), again.T_target_source)), np.float64)
+    with_keypoints = params.config.features.kind != "none"
+    if not supports_edge(again, float(np.abs(off).max()), config, with_keypoints=with_keypoints):
+        return tracker, found
+    if bool(needs_keyframe(again, params.config)) or not _agrees(
+        params, graph, (found.registration, again), off
+    ):
+        return tracker, found
+    return return_to_keyframe(
+        tracker, found, target, graph.poses[number], np.asarray(number, np.int32), again
+    )
+
+
+def _nearest(
+    graph: KeyframeGraph, found: TrackInfo, tracking: TrackingConfig, config: GraphConfig
+) -> int | None:
+    """Number of the keyframe whose camera was nearest to a frame's, if that is near enough to track in."""
+    poses = se3.matrices_of(np.concatenate([graph.poses, np.asarray(found.T_world_cam.wxyz_xyz)[None]]))
+    keyframes, frame = poses[:-1], poses[-1]
+    distance = np.linalg.norm(keyframes[:, :3, 3] - frame[:3, 3], axis=1)
+    # The cosine of the whole turn: one about the line of sight leaves the image as well.
+    cosine = (np.einsum("nij,ij->n", keyframes[:, :3, :3], frame[:3, :3]) - 1) / 2
+    angle = np.arccos(np.clip(cosine, -1, 1))
+    left = np.maximum(distance / tracking.keyframe_translation, angle / tracking.keyframe_rotation)
+    left[int(found.reference)] = np.inf
+    if not config.loops:
+        left[: max(0, len(left) - config.loop_gap)] = np.inf
+    nearest = int(np.argmin(left))
+    return nearest if left[nearest] < 1 else None
+
+
+def _agrees(
+    params: TrackerParams,
+    graph: KeyframeGraph,
+    registrations: tuple[Registration, Registration],
+    off: Float[np.ndarray, "6"],
+) -> bool:
+    """Whether two registrations of a frame differ by no more than their noise."""
+    covariance = sum(
+        motion_covariance(found, graph.noise, params.config.motion_model_sigma) for found in registrations
+    )
+    return bool(off @ np.linalg.solve(covariance, off) < _CONSISTENT)
+
+
+@jax.jit
+def return_to_keyframe(
+    tracker: Tracker,
+    found: TrackInfo,
+    features: FrameFeatures,
+    pose: Float[Array | np.ndarray, "7"],
+    keyframe: Int[Array | np.ndarray, ""],
+    again: Registration,
+) -> tuple[Tracker, TrackInfo]:
+    """A keyframe from before as the reference, in the slot of the one that the newest frame had become.
+
+    Args:
+        tracker: after a frame that became a keyframe.
+        found: what happened to the frame.
+        features: of the keyframe from before, rectified.
+        pose: its `T_world_cam` as wxyz_xyz.
+        keyframe: its number.
+        again: registration of the frame to it.
+    """
+    pose = jnp.asarray(pose)
+    slot, T = tracker.current, again.T_target_source
+    # The motion by which the keyframe was rectified is not kept with it.
+    still = jax.tree.map(jnp.zeros_like, tracker.last_motion)
+    ring = (
+        tracker.references,
+        tracker.reference_motions,
+        tracker.reference_poses,
+        tracker.reference_keyframes,
+    )
+    new = (features, still, pose, keyframe)
+    tracker = eqx.tree_at(
+        lambda t: (t.references, t.reference_motions, t.reference_poses, t.reference_keyframes),
+        tracker,
+        jax.tree.map(lambda ring, x: ring.at[slot].set(x), ring, new),
+    )
+    tracker = eqx.tree_at(
+        lambda t: (t.num_keyframes, t.T_reference_cam, t.last_registration, t.has_last),
+        tracker,
+        (tracker.num_keyframes - 1, T, again, jnp.asarray(True)),
+    )
+    told = (se3.compose(jaxlie.SE3(pose), T), T, again.source, again, keyframe, jnp.asarray(False))
+    return tracker, eqx.tree_at(
+        lambda i: (
+            i.T_world_cam,
+            i.T_reference_cam,
+            i.source,
+            i.registration,
+            i.reference,
+            i.new_keyframe,
+        ),
+        found,
+        told,
+    )
