@@ -20,7 +20,8 @@ def two_points(room, frames, config):
 
 
 def test_a_call_that_fails_leaves_the_state_before_or_after(two_points, tmp_path):
-    outcomes = list(failing_saves(*two_points, tmp_path))
+    before, after = two_points
+    outcomes = list(failing_saves(before, after, tmp_path))
     counts = Counter(outcome for _, outcome in outcomes)
     assert set(counts) == {"before", "after"}, [
         each for each in outcomes if each[1] not in ("before", "after")

@@ -1,5 +1,6 @@
 """A run that is interrupted at a line of its driver goes on to the same end."""
 
+import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +15,7 @@ import pytest
 from sfgs_jax import slam
 
 NUM_FRAMES = 2
-DRIVER = f"{slam.run.__module__.rsplit('.')[-1]}.py"
+DRIVER = inspect.getmodule(slam.run)
 
 
 class Interruption:
@@ -24,7 +25,7 @@ class Interruption:
         self.at, self.lines = at, 0
 
     def __call__(self, frame: FrameType, event: str, argument: Any) -> Callable | None:
-        if Path(frame.f_code.co_filename).name != DRIVER:
+        if Path(frame.f_code.co_filename).name != Path(str(DRIVER.__file__)).name:
             return None
         return self.count if frame.f_code.co_name in ("_advance", "_finish", "_refine") else None
 
@@ -45,7 +46,7 @@ def busy(config):
 @pytest.fixture(autouse=True)
 def no_warm_up(monkeypatch):
     """Programs are compiled when they are called first."""
-    monkeypatch.setattr(sys.modules[slam.run.__module__], "warm_up", lambda camera, config: None)
+    monkeypatch.setattr(DRIVER, "warm_up", lambda camera, config: None)
 
 
 def interrupted(frames, camera, config, at):
