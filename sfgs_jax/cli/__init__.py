@@ -26,6 +26,7 @@ from sfgs_jax.cli._render import RenderArguments as RenderArguments
 from sfgs_jax.cli._render import render_command as render_command
 from sfgs_jax.cli._run import RunOptions as RunOptions
 from sfgs_jax.cli._run import run_command as run_command
+from sfgs_jax.cli._run_observer import RunObserver as RunObserver
 from sfgs_jax.cli._summary import summary as summary
 from sfgs_jax.cli._view import ViewArguments as ViewArguments
 from sfgs_jax.cli._view import view_command as view_command

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import math
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
 import tyro
 
-from sfgs_jax.arrays import FrameError, InputError, check_range, enable_cache, write_atomically
+from sfgs_jax.arrays import FrameError, InputError, check_counts, check_range, enable_cache, write_atomically
 from sfgs_jax.cli._ablations import Ablation, ablated
 from sfgs_jax.cli._configuration import RunConfig, read_config, to_json
 from sfgs_jax.cli._evaluate import evaluate_folder
@@ -35,7 +34,9 @@ from sfgs_jax.slam import (
     TooManySkipped,
     combined,
     load_run,
+    locked_folder,
     prepare_folder,
+    remove_storage,
     resume_folder,
     run,
     write_run,
@@ -113,6 +114,8 @@ class RunOptions:
     """Replace the results of an earlier run in the output folder."""
     resume: bool = False
     """Go on with the run in the output folder where it was stopped."""
+    checkpoint_interval: int = 100
+    """Frames, or steps of the refinement, between two checkpoints that `--resume` can go on from."""
     realtime: bool = False
     """Play the recording by its own clock. Frames that come while another is tracked are dropped."""
     refine: float | None = None
@@ -137,6 +140,7 @@ class RunOptions:
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         check_range(self, 1, 65535, "view_port")
+        check_counts(self, 1, "checkpoint_interval")
         if self.refine is not None:
             check_range(self, 0, math.inf, "refine")
 
@@ -167,23 +171,24 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
     path = None if options.sensors is None else options.sensors.absolute()
     config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam, path)
     folder = options.out or Path("runs") / recording.name
-    if not options.resume:
-        prepare_folder(folder, overwrite=options.overwrite)
-    with logging_to(folder / "run.log"):
-        resumed = _resumed(folder, config, recording.camera) if options.resume else None
-        write_atomically(folder / "config.json", to_json(config))
-        if recording.ground_truth is not None:
-            write_atomically(folder / GROUND_TRUTH_FILE, format_tum(recording.ground_truth))
-        frames = play if options.realtime else frames
-        what = (options, config, recording, folder, resumed, frames, known)
-        if not options.view:
-            return _run(*what, None)
-        with live_view(recording, folder, host=options.view_host, port=options.view_port) as view:
-            status = _run(*what, view)
-            # After Ctrl-C nobody wants to wait.
-            if status != _INTERRUPTED or view.control.stopped:
-                keep_page(view)
-            return status
+    frames = play if options.realtime else frames
+    with locked_folder(folder, make=not options.resume):
+        if not options.resume:
+            prepare_folder(folder, overwrite=options.overwrite)
+        with logging_to(folder / "run.log"):
+            resumed = _resumed(folder, config, recording.camera) if options.resume else None
+            write_atomically(folder / "config.json", to_json(config))
+            if recording.ground_truth is not None:
+                write_atomically(folder / GROUND_TRUTH_FILE, format_tum(recording.ground_truth))
+            what = (options, config, recording, folder, resumed, frames, known)
+            if not options.view:
+                return _run(*what, None)
+            with live_view(recording, folder, host=options.view_host, port=options.view_port) as view:
+                status = _run(*what, view)
+                # After Ctrl-C nobody wants to wait.
+                if status != _INTERRUPTED or view.control.stopped:
+                    keep_page(view)
+                return status
 
 
 def _open(arguments: list[str]) -> tuple[str, RunOptions, Recording]:
@@ -257,6 +262,7 @@ def _run(
             recording,
             folder,
             keep_state=not options.realtime,
+            interval=options.checkpoint_interval,
         )
         observer.begin(first)
         try:
@@ -283,10 +289,10 @@ def _run(
         return _INTERRUPTED
     if not len(result.trajectory):
         raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")
-    if written == folder:
-        shutil.rmtree(folder / STORAGE, ignore_errors=True)
     if options.evaluate:
         evaluate_folder(written, recording, quiet=options.quiet)
+    if written == folder:
+        remove_storage(folder)
     metrics = json.loads((written / "metrics.json").read_text())
     if not options.quiet:
         print(summary(metrics, written))

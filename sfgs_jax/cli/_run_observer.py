@@ -11,7 +11,6 @@ from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation import ate
 from sfgs_jax.slam import STORAGE, Progress, Run, save_run, write_trajectories
 
-_CHECKPOINT_FRAMES = 100
 _ERROR_FRAMES = 20
 
 _FRAMES, _STEPS, _SECONDS = "frame", "refining the map, step", "refining the map, second"
@@ -26,11 +25,14 @@ class RunObserver:
         recording: the recording of the run.
         folder: the run's folder.
         keep_state: also keep the state that `--resume` needs.
+        interval: frames, or steps of the refinement, between two checkpoints.
     """
 
-    def __init__(self, report: Reporter, recording: Recording, folder: Path, *, keep_state: bool) -> None:
+    def __init__(
+        self, report: Reporter, recording: Recording, folder: Path, *, keep_state: bool, interval: int
+    ) -> None:
         self._report, self._recording, self._folder = report, recording, folder
-        self._keep_state = keep_state
+        self._keep_state, self._interval = keep_state, interval
         self._error = ""
         self._said_storage_failure = False
         self._start: tuple[int, float] | None = None
@@ -50,7 +52,7 @@ class RunObserver:
             self._error = self._running_error(progress.run)
         details = f"{self._rate(progress.done)}{progress.num_gaussians} Gaussians{self._error}"
         self._report(_FRAMES, progress.done, len(self._recording), details)
-        if progress.done % _CHECKPOINT_FRAMES == 0:
+        if progress.done % self._interval == 0:
             self.keep(progress.run)
 
     def _refined(self, progress: Progress) -> None:
@@ -60,6 +62,8 @@ class RunObserver:
             self._report(_SECONDS, min(int(seconds), total), total)
         else:
             self._report(_STEPS, progress.done, config.final_steps)
+        if progress.done % self._interval == 0:
+            self.keep(progress.run)
 
     def keep(self, run: Run) -> bool:
         """Write the results so far; a failure to write does not end the run.

@@ -1,5 +1,6 @@
 """`sfgs-jax run` as a user meets it: results, refusals, interruptions; nothing computed is lost."""
 
+import errno
 import json
 import os
 import re
@@ -13,10 +14,11 @@ import jax
 import numpy as np
 import pytest
 
-from sfgs_jax.cli import COMMANDS, Command, main, run_command
+from sfgs_jax.cli import COMMANDS, Command, RunObserver, main, run_command
 from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, open_recording, prefetch, write_recording
 from sfgs_jax.geometry import read_covariances, read_tum
-from sfgs_jax.slam import GROUND_TRUTH_FILE, OUTPUT_FILES
+from sfgs_jax.slam import GROUND_TRUTH_FILE, OUTPUT_FILES, STORAGE, locked_folder
+from sfgs_jax.slam.run import saved_facts
 from sfgs_jax.splatting import load_ply
 from tests.viewer.browser import OpenPage
 
@@ -284,6 +286,65 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_end(finished, recording_fold
     assert {path.name for path in out.iterdir()} == WRITTEN
     assert run(recording_folder, out, "--resume") == 2
     assert "no run that could be resumed" in capsys.readouterr().err
+
+
+class Killed(BaseException):
+    """Stands for a kill: nobody catches it."""
+
+
+def killed_at_step(monkeypatch, number):
+    """The process is gone right after a step of the refinement."""
+    told = RunObserver.__call__
+
+    def observe(self, progress):
+        told(self, progress)
+        if (progress.stage, progress.done) == ("refinement", number):
+            raise Killed
+
+    monkeypatch.setattr(RunObserver, "__call__", observe)
+
+
+def test_a_run_that_was_killed_in_its_refinement_goes_on_there(
+    finished, recording_folder, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        killed_at_step(patch, 2)
+        with pytest.raises(Killed):
+            run(recording_folder, out, "--checkpoint-interval", "2")
+    assert saved_facts(out / STORAGE)["num_refined"] == 2
+    assert run(recording_folder, out, "--resume") == 0
+    for name in ("trajectory.txt", "keyframes.txt", "map.ply"):
+        assert (out / name).read_bytes() == (finished / name).read_bytes(), name
+
+
+def test_a_second_run_in_the_same_folder_is_refused(recording_folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    with locked_folder(out):
+        assert run(recording_folder, out, "--overwrite") == 2
+        assert "Another run writes to" in capsys.readouterr().err
+        assert run(recording_folder, out, "--resume") == 2
+        assert "Another run writes to" in capsys.readouterr().err
+    assert list(out.iterdir()) == []
+    with locked_folder(tmp_path / "none", make=False):
+        assert not (tmp_path / "none").exists()
+
+
+def test_resume_is_not_offered_where_no_checkpoint_could_be_written(
+    recording_folder, tmp_path, monkeypatch, capsys
+):
+    out = tmp_path / "out"
+
+    def fill_the_disk():
+        def refuse(*arguments, **options):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr(os, "fsync", refuse)
+        interrupt()
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert run(recording_folder, out, frames=before_frame(3, fill_the_disk)) != 0
+    assert "--resume goes on" not in capsys.readouterr().err
 
 
 def test_an_ablation_reaches_the_settings(recording_folder, tmp_path, capsys):

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -86,6 +86,7 @@ class Run:
         num_dropped: frames that came while another was being tracked, in real time.
         num_refined: map steps done after the last frame.
         refinement_ms: time that they took, milliseconds.
+        is_finished: whether its frames have ended, and keyframes and map are ready for the refinement.
         interrupted: whether it was ended before its source was.
         storage_failure: why the images of old keyframes and views stay in memory, if they could not be put on
             disk; empty without a failure.
@@ -98,9 +99,19 @@ class Run:
     num_dropped: int = 0
     num_refined: int = 0
     refinement_ms: int = 0
+    is_finished: bool = False
     interrupted: bool = False
     storage_failure: str = ""
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
+
+    def advance(self, **changes: Any) -> None:
+        """Change several attributes at once: an interruption finds all of them changed, or none.
+
+        Args:
+            changes: new values by name.
+        """
+        # One call into C. Python handles signals between instructions, never inside of it.
+        vars(self).update(changes)
 
     @property
     def config(self) -> SlamConfig:
@@ -167,6 +178,7 @@ def save_run(run: Run, folder: Path | str) -> None:
         num_dropped=run.num_dropped,
         num_refined=run.num_refined,
         refinement_ms=run.refinement_ms,
+        is_finished=int(run.is_finished),
     )
 
 
@@ -189,6 +201,7 @@ def load_run(folder: Path | str, config: SlamConfig, camera: Camera | None = Non
         num_dropped=facts["num_dropped"],
         num_refined=facts["num_refined"],
         refinement_ms=facts["refinement_ms"],
+        is_finished=bool(facts["is_finished"]),
     )
 
 
@@ -246,13 +259,15 @@ def run(
             gaussians = result.state.mapping.num_gaussians
             observer(Progress("frames", result.num_frames, gaussians, skipped, info, result, image))
             _check_skipped(result)
-        with result.stopwatch("graph"):
-            result.state = finish(result.state)
-        _end_mapping(result, worker)
+        if not result.is_finished:
+            _finish(result, worker)
         _refine(result, observer)
     except KeyboardInterrupt:
         result.interrupted = True
-        _end_mapping(result, worker)
+        mapping = worker.stop()
+        # A map in the run's own thread may be a frame ahead; the state has it as of its newest frame.
+        if realtime and not result.is_finished:
+            result.state = replace(result.state, mapping=_moved(mapping, result.state))
     except BaseException:
         worker.stop()
         raise
@@ -285,12 +300,14 @@ def _advance(
         found = error
     else:
         state = _stored(run, replace(state, mapping=worker.mapping), storage, spill)
-    # All at once, so that an interruption finds the frame either done or not begun. Numbers that were left
-    # out are frames that came too fast.
-    run.state = state
-    run.num_skipped += isinstance(found, FrameError)
-    run.num_dropped += number - run.num_frames
-    run.num_frames = number + 1
+    # Numbers that were left out are frames that came too fast.
+    run.advance(
+        state=state,
+        num_skipped=run.num_skipped + isinstance(found, FrameError),
+        num_dropped=run.num_dropped + number - run.num_frames,
+        num_frames=number + 1,
+        is_finished=False,
+    )
     return found
 
 
@@ -306,34 +323,43 @@ def _stored(run: Run, value: _T, storage: Path | None, put: Callable[[_T, Path],
         return value
 
 
-def _end_mapping(run: Run, worker: MapWorker) -> None:
-    """The state with the worker's map, where the keyframes are now."""
-    mapping = worker.stop()
-    if run.state.graph.keyframes:
-        mapping = follow_keyframes(mapping, run.state.graph.poses, run.state.row_times)
-    run.state = replace(run.state, mapping=mapping)
+def _finish(run: Run, worker: MapWorker) -> None:
+    """Adjust the keyframes after the last frame, and move the map and its views to where they are."""
+    with run.stopwatch("graph"):
+        state = finish(run.state)
+    mapping = _moved(worker.stop(), state)
+    if mapping.views:
+        mapping = follow_trajectory(mapping, state.log, state.trajectory)
+    run.advance(state=replace(state, mapping=mapping), is_finished=True)
+
+
+def _moved(mapping: MapState, state: SlamState) -> MapState:
+    """A map where the keyframes of a state are."""
+    if not state.graph.keyframes:
+        return mapping
+    return follow_keyframes(mapping, state.graph.poses, state.row_times)
 
 
 def _refine(run: Run, observer: Observer) -> None:
-    state, config = run.state, run.config
-    if not state.mapping.views:
+    config = run.config
+    if not run.state.mapping.views:
         return
-    mapping = follow_trajectory(state.mapping, state.log, run.trajectory)
-    run.state = replace(state, mapping=mapping)
     while (done := run.refined_share) < 1:
         start = time.perf_counter()
         with run.stopwatch("refinement"):
             mapping, _ = refine_once(
                 run.state.mapping,
-                state.mapping_camera,
+                run.state.mapping_camera,
                 config.mapping,
                 number=run.num_refined,
                 done=done,
                 seed=config.seed,
             )
-        run.state = replace(run.state, mapping=mapping)
-        run.num_refined += 1
-        run.refinement_ms += round(1e3 * (time.perf_counter() - start))
+        run.advance(
+            state=replace(run.state, mapping=mapping),
+            num_refined=run.num_refined + 1,
+            refinement_ms=run.refinement_ms + round(1e3 * (time.perf_counter() - start)),
+        )
         observer(Progress("refinement", run.num_refined, mapping.num_gaussians, None, None, run))
 
 

@@ -1,5 +1,6 @@
 """The folder a run writes: trajectory, keyframes, map, metrics, configuration."""
 
+import contextlib
 import json
 import platform
 import resource
@@ -16,6 +17,7 @@ from sfgs_jax.geometry import Camera, format_covariances, format_tum
 from sfgs_jax.sensors import EXPOSURE_FILE, SENSOR_FILE, format_gains
 from sfgs_jax.slam.run._driver import Run
 from sfgs_jax.slam.run._sensor_file import write_sensors
+from sfgs_jax.slam.run._storage import STATE_FILE
 from sfgs_jax.splatting import save_ply
 
 COVARIANCE_FILE = "trajectory_covariance.txt"
@@ -63,7 +65,8 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
         remove_unfinished(folder, *OUTPUT_FILES, GROUND_TRUTH_FILE)
         for name in (*OUTPUT_FILES, GROUND_TRUTH_FILE):
             (folder / name).unlink(missing_ok=True)
-        shutil.rmtree(folder / STORAGE, ignore_errors=True)
+        # A view of an earlier run would be taken for one of this run.
+        _remove_storage(folder / STORAGE)
         with tempfile.TemporaryFile(dir=folder) as probe:
             probe.write(b"\0")
     except OSError as error:
@@ -82,6 +85,10 @@ def resume_folder(folder: Path) -> Path:
         InputError: it holds nothing to go on from, or can't be written.
     """
     storage = folder / STORAGE
+    if folder.is_dir() and not (storage / STATE_FILE).exists() and (folder / "metrics.json").exists():
+        raise InputError(
+            f"{folder} holds no run that could be resumed: it has ended. --overwrite starts it again."
+        )
     if not storage.is_dir():
         raise InputError(
             f"{folder} holds no run that could be resumed: it has ended, or was stopped before its first "
@@ -93,6 +100,23 @@ def resume_folder(folder: Path) -> Path:
     except OSError as error:
         raise InputError(f"The output folder {folder} cannot be written ({error.strerror}).") from error
     return storage
+
+
+def remove_storage(folder: Path) -> None:
+    """Remove what a run that has come to its end could go on from; whatever can't be removed stays.
+
+    Args:
+        folder: of the run.
+    """
+    with contextlib.suppress(OSError):
+        _remove_storage(folder / STORAGE)
+
+
+def _remove_storage(storage: Path) -> None:
+    """Remove the state first, for without its images it would be taken for a damaged one."""
+    if storage.is_dir():
+        (storage / STATE_FILE).unlink(missing_ok=True)
+        shutil.rmtree(storage)
 
 
 def write_run(run: Run, folder: Path) -> None:

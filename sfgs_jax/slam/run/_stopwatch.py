@@ -34,7 +34,7 @@ class Stopwatch:
 
     def total(self, name: str) -> float:
         """Seconds spent in a stage so far."""
-        return sum(self._seconds[name])
+        return sum(self._seconds[name], 0.0)
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Median and 95th percentile in milliseconds, total in seconds and count of every stage."""

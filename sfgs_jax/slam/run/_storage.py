@@ -25,7 +25,7 @@ from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
 from sfgs_jax.slam.state import Adjustment, Edge, Keyframe, MapState, SlamState, View
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 10
+FORMAT_VERSION = 11
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
