@@ -83,13 +83,9 @@ class _Batch:
             ) from error
         self._folder, self._entries, self._overwrite = folder, entries, overwrite
         found = {} if overwrite else read_record(folder / RECORD_FILE)
-        names = {entry.name: entry for entry in entries}
-        for name, outcome in found.items():
-            if name in names and outcome.words != shlex.join(names[name].words):
-                raise InputError(
-                    f"{folder / name} holds a run of `{outcome.words}`, and line {names[name].line} has "
-                    "another source or other options: choose another folder with --out, or pass --overwrite."
-                )
+        if not overwrite:
+            for entry in entries:
+                _refuse_unless_ours(entry, folder / entry.name, found.get(entry.name))
         self._outcomes = found
 
     @property
@@ -123,7 +119,6 @@ class _Batch:
 
     def _start(self, entry: Entry, cores: int) -> RunProcess:
         before = self._outcomes.get(entry.name)
-        # A folder that is there without a row in batch.csv is not ours to replace.
         failed = before is not None and before.state == "failed"
         run = start(
             entry,
@@ -131,7 +126,6 @@ class _Batch:
             self._folder / f"{entry.name}.log",
             cores=cores,
             overwrite=self._overwrite or failed,
-            ours=before is not None,
         )
         seconds = before.seconds if before is not None and not failed else 0.0
         self._put(Outcome(entry.name, shlex.join(entry.words), "running", seconds=seconds))
@@ -159,6 +153,23 @@ class _Batch:
     def _put(self, outcome: Outcome) -> None:
         self._outcomes[outcome.name] = outcome
         write_record(self._folder / RECORD_FILE, list(self._outcomes.values()))
+
+
+def _refuse_unless_ours(entry: Entry, folder: Path, before: Outcome | None) -> None:
+    """Refuse a folder that holds anything but the batch's own run of this recording.
+
+    Raises:
+        InputError: it does.
+    """
+    if before is None and folder.exists() and any(folder.iterdir() if folder.is_dir() else (folder,)):
+        held = "something that is no run of this batch"
+    elif before is not None and before.words != shlex.join(entry.words):
+        held = f"a run of `{before.words}`, and not with this source and these options"
+    else:
+        return
+    raise InputError(
+        f"Line {entry.line}: {folder} holds {held}; choose another folder with --out, or pass --overwrite."
+    )
 
 
 def _say(line: str) -> None:

@@ -67,7 +67,7 @@ class RunProcess:
         return "failed", _last_message(self.log)
 
 
-def start(entry: Entry, folder: Path, log: Path, *, cores: int, overwrite: bool, ours: bool) -> RunProcess:
+def start(entry: Entry, folder: Path, log: Path, *, cores: int, overwrite: bool) -> RunProcess:
     """Start a run; it goes on from its last checkpoint if there is one.
 
     Args:
@@ -76,15 +76,14 @@ def start(entry: Entry, folder: Path, log: Path, *, cores: int, overwrite: bool,
         log: file for what it prints.
         cores: threads that it may compute with.
         overwrite: whether the run begins anew, whatever is in the folder.
-        ours: whether the batch has begun it before; only then it goes on, or replaces what is there.
 
     Raises:
         InputError: the log can't be written.
     """
-    resume = ours and not overwrite and (folder / STORAGE).is_dir()
-    mode = ["--resume"] if resume else ["--overwrite"] if ours or overwrite else []
+    resume = (folder / STORAGE).is_dir() and not overwrite
+    mode = "--resume" if resume else "--overwrite"
     source, *options = entry.words
-    command = [sys.executable, "-m", "sfgs_jax", "run", source, "--out", str(folder), *mode, *options]
+    command = [sys.executable, "-m", "sfgs_jax", "run", source, "--out", str(folder), mode, *options]
     try:
         with log.open("wb") as output:
             process = subprocess.Popen(

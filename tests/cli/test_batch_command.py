@@ -118,7 +118,7 @@ def test_a_batch_goes_on_and_a_failure_costs_no_other_recording(words, tmp_path,
     # Another recording, or other options, does not get these results.
     path = write_list(tmp_path, shlex.join([*words, "--reader.end", "3"]))
     assert main(["batch", str(path), "--out", str(out)]) == 2
-    assert "line 1 has another source or other options" in capsys.readouterr().err
+    assert "not with this source and these options" in capsys.readouterr().err
 
 
 def test_an_interrupted_batch_stops_its_runs_and_says_so(words, tmp_path, capsys):
@@ -147,9 +147,14 @@ def test_a_folder_that_is_not_the_batchs_own_is_left_alone(words, tmp_path, caps
     folder = tmp_path / "out" / "my-room"
     folder.mkdir(parents=True)
     (folder / "thesis.txt").write_text("mine")
-    assert main(["batch", str(write_list(tmp_path, shlex.join(words))), "--out", str(folder.parent)]) == 1
-    assert "is not empty (it holds thesis.txt)" in capsys.readouterr().out
+    path = write_list(tmp_path, "", shlex.join(words))
+    for _ in range(2):
+        assert main(["batch", str(path), "--out", str(folder.parent)]) == 2
+        error = capsys.readouterr().err
+        assert f"Line 2: {folder} holds something that is no run of this batch" in error
+        assert len(error.splitlines()) == 1
     assert os.listdir(folder) == ["thesis.txt"]
+    assert not (folder.parent / "batch.csv").exists()
 
 
 def test_a_list_has_a_recording_in_each_line(tmp_path):
