@@ -2,6 +2,15 @@
 
 from sfgs_jax.cli._ablations import ABLATIONS as ABLATIONS
 from sfgs_jax.cli._ablations import ablated as ablated
+from sfgs_jax.cli._batch import BatchArguments as BatchArguments
+from sfgs_jax.cli._batch import batch_command as batch_command
+from sfgs_jax.cli._batch_list import Entry as Entry
+from sfgs_jax.cli._batch_list import read_list as read_list
+from sfgs_jax.cli._batch_process import limited as limited
+from sfgs_jax.cli._batch_record import Outcome as Outcome
+from sfgs_jax.cli._batch_record import batch_table as batch_table
+from sfgs_jax.cli._batch_record import read_record as read_record
+from sfgs_jax.cli._batch_record import write_record as write_record
 from sfgs_jax.cli._check import CheckArguments as CheckArguments
 from sfgs_jax.cli._check import check_command as check_command
 from sfgs_jax.cli._check import check_text as check_text

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from sfgs_jax import __version__
 from sfgs_jax.arrays import InputError
+from sfgs_jax.cli._batch import batch_command
 from sfgs_jax.cli._check import check_command
 from sfgs_jax.cli._doctor import doctor_command
 from sfgs_jax.cli._evaluate import eval_command
@@ -27,6 +28,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "check": Command(check_command, "look for what would spoil a run of a recording"),
     "run": Command(run_command, "track and map a recording"),
+    "batch": Command(batch_command, "track and map the recordings of a list, several at once"),
     "eval": Command(eval_command, "compute a run's metrics and report again"),
     "view": Command(view_command, "show a run's map in the browser"),
     "render": Command(render_command, "draw a map along a path: images, depth or a video"),

@@ -193,20 +193,31 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
 
 def _open(arguments: list[str]) -> tuple[str, RunOptions, Recording]:
     """Parse the arguments twice: the recording's layout, or a given file, decides what the defaults are."""
-    source, options = _parse(arguments, RunOptions())
+    source, options = parse_run(arguments, RunOptions())
     if options.config is not None:
         saved = read_config(options.config)
         defaults = RunOptions(
             dataset=saved.dataset, reader=saved.reader, slam=saved.slam, sensors=saved.sensors
         )
-        source, options = _parse(arguments, defaults)
+        source, options = parse_run(arguments, defaults)
         return source, options, open_recording(source, dataset=options.dataset, options=options.reader)
     recording = open_recording(source, dataset=options.dataset, options=options.reader)
-    source, options = _parse(arguments, RunOptions(slam=PRESETS[recording.dataset]))
+    source, options = parse_run(arguments, RunOptions(slam=PRESETS[recording.dataset]))
     return source, options, recording
 
 
-def _parse(arguments: list[str], defaults: RunOptions) -> tuple[str, RunOptions]:
+def parse_run(arguments: list[str], defaults: RunOptions) -> tuple[str, RunOptions]:
+    """Source and options of a run.
+
+    Args:
+        arguments: words after `sfgs-jax run`.
+        defaults: of the options.
+
+    Raises:
+        InputError: a value has no meaning.
+        SystemExit: the words are not understood, which the standard error explains.
+    """
+
     def parsed(
         source: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SOURCE", help=_SOURCE_HELP)],
         options: Annotated[RunOptions, tyro.conf.arg(name="")] = defaults,

@@ -11,6 +11,7 @@ import pytest
 from sfgs_jax.cli import (
     ABLATIONS,
     COMMANDS,
+    BatchArguments,
     CheckArguments,
     EvalArguments,
     ExportArguments,
@@ -50,12 +51,16 @@ def test_options_of_other_pages_exist(page, capsys):
     assert checked > 3
 
 
-@pytest.mark.parametrize("command", ["check", "run", "eval", "view", "render", "export"])
+@pytest.mark.parametrize("command", ["check", "run", "batch", "eval", "view", "render", "export"])
 def test_every_option_it_names_exists(command, capsys):
     # A group of options is written --reader.*
     named = set(re.findall(r"(--[a-z][a-z.-]*[a-z])(?![a-z.-]*\.\*)", section(command)))
     assert len(named) >= 2
-    assert named <= flags_of(command, capsys)
+    flags = flags_of(command, capsys)
+    if command == "batch":
+        # The lines of its list hold options of runs.
+        flags |= flags_of("run", capsys)
+    assert named <= flags
 
 
 @pytest.mark.parametrize(
@@ -63,6 +68,7 @@ def test_every_option_it_names_exists(command, capsys):
     [
         ("check", CheckArguments),
         ("run", RunOptions),
+        ("batch", BatchArguments),
         ("eval", EvalArguments),
         ("view", ViewArguments),
         ("render", RenderArguments),

@@ -12,6 +12,7 @@ import pytest
 
 from sfgs_jax.cli import (
     COMMANDS,
+    BatchArguments,
     CheckArguments,
     DoctorArguments,
     EvalArguments,
@@ -25,6 +26,7 @@ from sfgs_jax.cli import (
 SETTINGS = {
     "check": CheckArguments,
     "run": RunOptions,
+    "batch": BatchArguments,
     "eval": EvalArguments,
     "view": ViewArguments,
     "render": RenderArguments,
@@ -33,6 +35,7 @@ SETTINGS = {
 }
 POSITIONAL = {
     "check": {"source"},
+    "batch": {"path"},
     "eval": {"folder"},
     "view": {"path"},
     "render": {"path"},

@@ -196,6 +196,18 @@ def test_the_motion_model_carries_no_frame_after_a_lost_one(rng, config):
     assert sources[4:] == [PoseSource.LOST, PoseSource.LOST, PoseSource.JOINT]
 
 
+def test_a_motion_that_was_never_seen_carries_no_frame(rng, config):
+    """A run begins at a bare wall, and the camera moves along it: that it stands still is only a guess."""
+    image = texture(rng)
+    state = slam.init(CAMERA, config)
+    sources = []
+    # The third frame shows the wall's texture, but nothing is known that it could be found in.
+    for frame in [wall(image, (0.06 * number, 0, 0), bare=number < 2) for number in range(3)]:
+        state, info = slam.step(state, frame)
+        sources.append(info.source)
+    assert sources == [PoseSource.JOINT, PoseSource.LOST, PoseSource.LOST]
+
+
 def test_noise_on_a_bare_wall_is_no_keypoint(rng, look):
     bare = wall(texture(rng), SHIFT, bare=True)
     noisy = Frame(bare.rgb + rng.normal(scale=0.01, size=bare.rgb.shape).astype(np.float32), bare.depth, 0.0)

@@ -23,8 +23,8 @@ class Evidence(NamedTuple):
         surface_alone: GICP ended near its start, with enough inliers to need no keypoints.
         free: the surface leaves a direction of motion free.
         surface_allowed: the camera was seen recently enough for the surface alone to tell where it is.
-        motion_model_allowed: the motion model has not carried the pose too long or too far, and no frame was
-            lost since it was learnt.
+        motion_model_allowed: a motion was measured, no frame was lost since, and the motion model has not
+            carried the pose too long or too far.
     """
 
     keypoints: Flag

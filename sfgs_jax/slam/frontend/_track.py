@@ -184,8 +184,8 @@ def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
     # Keypoints can still tell where a camera is that was lost for long; its surface can't.
     recent = tracker.lost_in_a_row <= config.max_lost
     has_keypoints = config.features.kind != "none"
-    # A lost frame may have moved in any way.
-    return Allowed(surface=recent | (not has_keypoints), motion_model=carried & (tracker.lost_in_a_row == 0))
+    # The second frame may have moved in any way, and so may a lost one: that it stood still is a guess.
+    return Allowed(surface=recent | (not has_keypoints), motion_model=carried & tracker.has_motion)
 
 
 def _starts(tracker: Tracker) -> Float[Array, "4 7"]:
@@ -323,11 +323,13 @@ def _moved(
     predicted = tracker.predicted_motion
     # A frame that rests on the motion model teaches it nothing. After a lost frame there is no motion.
     motion = jnp.where(by_model, predicted.wxyz_xyz, measured)
+    known = ~jnp.asarray(relocalised) & jnp.where(by_model, tracker.has_motion, tracker.num_keyframes > 0)
     return eqx.tree_at(
         lambda t: (
             t.T_previous_current,
             t.motion_seconds,
             t.since_tracked,
+            t.has_motion,
             t.lost_in_a_row,
             t.motion_model_frames,
             t.motion_model_travel,
@@ -337,6 +339,7 @@ def _moved(
             jaxlie.SE3(jnp.where(tracked & ~jnp.asarray(relocalised), motion, identity)),
             jnp.where(tracked, tracker.since_tracked, 0),
             jnp.where(tracked, 0, tracker.since_tracked),
+            tracked & known,
             jnp.where(tracked, 0, tracker.lost_in_a_row + 1),
             _counted(tracker.motion_model_frames, 1, by_model, tracked),
             _counted(tracker.motion_model_travel, extent(predicted), by_model, tracked),

@@ -61,6 +61,8 @@ class Tracker(eqx.Module):
         last_motion: motion of its rows.
         last_registration: its registration to the current reference.
         has_last: whether there is such a frame, and it is no keyframe yet.
+        has_motion: whether a motion was measured since the first frame, or the last that was lost or found by
+            its looks.
         lost_in_a_row: frames since the newest tracked frame, all of them lost.
         motion_model_frames: newest frames in a row whose pose rests on the motion model in part.
         motion_model_travel: motion that the model added up to over these, metres or radians, the larger.
@@ -81,6 +83,7 @@ class Tracker(eqx.Module):
     last_motion: RowMotion
     last_registration: Registration
     has_last: Bool[Array, ""]
+    has_motion: Bool[Array, ""]
     lost_in_a_row: Int[Array, ""]
     motion_model_frames: Int[Array, ""]
     motion_model_travel: Float[Array, ""]
@@ -138,6 +141,7 @@ def empty_tracker(features: FrameFeatures, registration: Registration, num_refer
         last_motion=still,
         last_registration=zeros[1],
         has_last=_scalar(False, bool),
+        has_motion=_scalar(False, bool),
         lost_in_a_row=_scalar(0, np.int32),
         motion_model_frames=_scalar(0, np.int32),
         motion_model_travel=_scalar(0, dtype),
