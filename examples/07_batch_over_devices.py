@@ -28,9 +28,9 @@ def main(width: int = 160, height: int = 120, batch: int = 8) -> dict[str, float
     def last_pose(scale):
         """Pose of the second frame as wxyz_xyz, with the focal length scaled."""
         camera = replace(recording.camera, fx=scale * recording.camera.fx, fy=scale * recording.camera.fy)
-        scaled, state = replace(params, camera=camera), tracker
-        for rgb, depth in frames:
-            state, info = slam.track(scaled, state, rgb, depth, jnp.asarray(0.1))
+        scaled, elapsed = replace(params, camera=camera), jnp.asarray(0.1)
+        state, _ = slam.track(scaled, tracker, *frames[0], elapsed)
+        _, info = slam.track(scaled, state, *frames[1], elapsed)
         return info.T_world_cam.wxyz_xyz
 
     scales = jnp.linspace(0.95, 1.05, batch)
