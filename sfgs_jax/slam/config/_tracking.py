@@ -24,8 +24,8 @@ class FeaturesConfig:
     """Least cosine between the descriptors of a match."""
     match_weights: MatchWeights = "equal"
     """Weights of the matches in a motion. With `equal`, all matches weigh the same. With `learned`, a match
-    weighs by how far its similarity exceeds the floor, and by its keypoints' scores. Then a pose has gradients
-    to descriptors and scores."""
+    weighs by how far its similarity exceeds the floor, and by its keypoints' scores. Then a pose has
+    gradients to descriptors and scores."""
     min_contrast: float = 0.015
     """Least second difference of the grey values, of 1, around a keypoint. It removes the artefacts that a
     detector finds on walls without texture and in the dark; even shading has none."""
