@@ -3,8 +3,12 @@
 They are in one file because they step through frames of one size, by the same programs.
 """
 
+import ast
+import os
 import re
 import runpy
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,7 +30,7 @@ def test_every_example_is_run_here():
     names = sorted(path.stem for path in EXAMPLES.glob("*.py"))
     assert len(names) > 4
     for name in names:
-        assert f'main_of("{name}")' in tested
+        assert f'main_of("{name}")' in tested or f"{name}.py" in tested
 
 
 def test_00_the_fit_raises_psnr_of_a_view_it_has_not_seen():
@@ -110,3 +114,24 @@ def test_06_the_gradient_through_tracking_finds_the_focal_length():
     found = main_of("06_gradient_through_tracking")(width=96, height=72, steps=3)
     assert found["first_error"] > 0.04
     assert found["last_error"] < 0.005
+
+
+def test_07_eight_devices_give_the_poses_of_one():
+    """In a process of its own: the number of devices is fixed before the first array."""
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=8"
+    run = (
+        f"import runpy; print(runpy.run_path({str(EXAMPLES / '07_batch_over_devices.py')!r})['main'](80, 60))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", run],
+        env=os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    found = ast.literal_eval(done.stdout.strip().splitlines()[-1])
+    assert found["devices"] == 8
+    assert found["difference"] < 1e-5
+    assert found["spread"] > 1e-3

@@ -9,6 +9,7 @@ from sfgs_jax.gicp import GicpConfig
 from sfgs_jax.superfeats import MIN_SIMILARITY
 
 KeypointKind = Literal["superfeats", "orb", "none"]
+MatchWeights = Literal["equal", "learned"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,10 @@ class FeaturesConfig:
     """Slots for the keypoints of a frame."""
     min_similarity: float = MIN_SIMILARITY
     """Least cosine between the descriptors of a match."""
+    match_weights: MatchWeights = "equal"
+    """Weights of the matches in a motion. With `equal`, all matches weigh the same. With `learned`, a match
+    weighs by how far its similarity exceeds the floor, and by its keypoints' scores. Then a pose has
+    gradients to descriptors and scores."""
     min_contrast: float = 0.015
     """Least second difference of the grey values, of 1, around a keypoint. It removes the artefacts that a
     detector finds on walls without texture and in the dark; even shading has none."""
@@ -56,6 +61,7 @@ class FeaturesConfig:
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         check_choice(self, "kind", get_args(KeypointKind))
+        check_choice(self, "match_weights", get_args(MatchWeights))
         check_counts(self, 1, "max_keypoints", "max_rigid_matches", "min_inliers", "min_inliers_alone")
         check_range(self, -1, 1, "min_similarity")
         check_range(self, 0, 1, "min_contrast", "min_inlier_share", "min_inlier_share_alone")

@@ -15,19 +15,20 @@ from sfgs_jax.sensors import carried, row_places
 from sfgs_jax.slam.config import FeaturesConfig
 from sfgs_jax.slam.state._frame_features import Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
-from sfgs_jax.superfeats import match
+from sfgs_jax.superfeats import Matches, match
 
 _STEPS = 8
 
 
 class _Rows(NamedTuple):
-    """Matched keypoints: the target's points, and what the source saw of them."""
+    """Matched keypoints: the target's points, what the source saw of them, and weights, None if equal."""
 
     points: Float[Array, "k 3"]
     pixels: Float[Array, "k 2"]
     depth: Float[Array, " k"]
     valid: Bool[Array, " k"]
     sweep: gicp.Sweep | None
+    weights: Float[Array, " k"] | None = None
 
 
 def motion_from_keypoints(
@@ -45,6 +46,9 @@ def motion_from_keypoints(
     Gauss-Newton with a Geman-McClure kernel minimises the reprojection error of the target's points. That is
     an error of pixels and, where the source has depth, of inverse depth.
 
+    The motion is differentiable by all iterations; with learned weights also with respect to descriptors and
+    scores. Which keypoints match, and where the iterations start, has no derivative.
+
     Args:
         source: keypoints of the frame to locate, whose depth may be missing.
         target: keypoints with depth of the frame to locate it in.
@@ -60,7 +64,10 @@ def motion_from_keypoints(
         return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
     matches = match(source.features, target.features, min_similarity=config.min_similarity)
     valid = matches.valid & target.measured[matches.index_b]
-    rows = _Rows(target.points[matches.index_b], source.features.keypoints, source.depth, valid, sweep)
+    weights = _weights(source, target, matches, valid, config)
+    rows = _Rows(
+        target.points[matches.index_b], source.features.keypoints, source.depth, valid, sweep, weights
+    )
 
     num_matches = jnp.sum(valid, dtype=jnp.int32)
     guessed = _support(guess, rows, camera, config)
@@ -97,6 +104,19 @@ def num_explained(
     points, pixels = target.points[matched.index], source.features.keypoints
     rows = _Rows(points, pixels, source.depth, matched.inliers, sweep)
     return jnp.sum(_explained(T_target_source, rows, camera, config, config.inlier_pixels), dtype=jnp.int32)
+
+
+def _weights(
+    source: Keypoints, target: Keypoints, matches: Matches, valid: Bool[Array, " k"], config: FeaturesConfig
+) -> Float[Array, " k"] | None:
+    """Weights of the matches, with a mean of 1, so that they say nothing about the noise of all of them."""
+    if config.match_weights == "equal":
+        return None
+    # At the floor a match weighs nothing: one that comes or goes there moves no pose.
+    certain = jnp.where(valid, matches.similarity - config.min_similarity, 0)
+    weights = certain * source.features.scores * target.features.scores[matches.index_b]
+    mean = jnp.sum(weights) / jnp.maximum(jnp.sum(valid.astype(weights.dtype)), 1)
+    return weights / jnp.where(mean > 0, mean, 1)
 
 
 def _rigid_motion(
@@ -160,6 +180,7 @@ def _refine(
         residual, jacobian, front = _residuals(T, rows, camera, config)
         square = jnp.sum(residual**2, axis=0)
         weight = jnp.where(front, kernel_weight(square, "geman_mcclure", config.kernel_width), 0)
+        weight = weight if rows.weights is None else weight * rows.weights
         rows_of = jnp.moveaxis(jacobian, 1, 0).reshape(6, -1)
         weighted = jnp.moveaxis(weight[None, None] * jacobian, 1, 0).reshape(6, -1)
         hessian = jnp.matmul(weighted, rows_of.T, precision=Precision.HIGHEST)
