@@ -29,8 +29,8 @@ def revisited(
 ) -> tuple[Tracker, TrackInfo]:
     """Track on in a keyframe from before, where a frame became a keyframe that would add nothing.
 
-    It adds nothing if a keyframe is near that shows the same, and if the frame's registration to it agrees
-    with the graph within its noise. A larger disagreement is drift, which a new keyframe's edges will mend.
+    It adds nothing if a keyframe is near that shows the same, and if both agree within the noise of their
+    registrations. A larger disagreement is drift, which a new keyframe's edges will mend.
 
     Args:
         params: parameters of tracking.
@@ -88,7 +88,7 @@ def _agrees(
     registrations: tuple[Registration, Registration],
     off: Float[np.ndarray, "6"],
 ) -> bool:
-    """Whether two registrations of a frame differ by no more than their noise."""
+    """True if two registrations of a frame differ by no more than their noise."""
     covariance = sum(
         motion_covariance(found, graph.noise, params.config.motion_model_sigma) for found in registrations
     )
