@@ -110,9 +110,9 @@ def test_views_come_at_least_at_the_interval(room, frames, config):
 def hasty_run(room, frames, config):
     """The run after five frames so far apart that each became a keyframe; the last is held out.
 
-    The camera comes back to where it was, but without loops it does not return to a keyframe from before.
+    The camera comes back to where it was, but does not return to its keyframes there.
     """
-    forgetful = replace(config, graph=replace(config.graph, loops=False, loop_gap=1))
+    forgetful = replace(config, graph=replace(config.graph, return_to_keyframes=False))
     return follow(room, [frames[i] for i in (0, 3, 5, 8, 10)], forgetful)[0]
 
 

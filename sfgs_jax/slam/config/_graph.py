@@ -21,6 +21,9 @@ class GraphConfig:
     max_correction: float = 0.1
     """Largest disagreement between a neighbour's registration and the graph, metres and radians. A larger
     one is rejected as an edge, and examined as a loop."""
+    return_to_keyframes: bool = True
+    """Whether tracking returns to a keyframe from before where a new one would add nothing. While the
+    distortion of depth is estimated it never does, since every new keyframe tells more about that."""
     edge_sigma_metres: float = 0.002
     """Standard deviation of a registration's systematic error, metres, until cycles of edges tell it."""
     edge_sigma_radians: float = 0.0015

@@ -42,8 +42,9 @@ def revisited(
     Returns:
         The tracker and what happened to the frame, changed where a keyframe was returned to.
     """
-    added = config.enabled and bool(found.new_keyframe) and not bool(found.bridged)
-    if not (added and graph.keyframes):
+    wanted = config.enabled and config.return_to_keyframes and params.depth_correction is None
+    added = bool(found.new_keyframe) and not bool(found.bridged)
+    if not (wanted and added and graph.keyframes):
         return tracker, found
     number = _nearest(graph, found, params.config, config)
     if number is None:
