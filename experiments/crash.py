@@ -37,7 +37,7 @@ _SETTINGS = (
 
 
 def same_state(a: slam.Run, b: slam.Run) -> bool:
-    """Whether two runs are at the same point with the same numbers, to the bit."""
+    """True if two runs are at the same point with the same numbers, to the bit."""
     left, right = jax.tree.leaves(a.state), jax.tree.leaves(b.state)
     counts = [(r.num_frames, r.num_skipped, r.num_refined, r.is_finished) for r in (a, b)]
     return (
@@ -78,7 +78,7 @@ def failing_saves(before: slam.Run, after: slam.Run, folder: Path) -> Iterator[t
 
 
 def _failure(save: Callable[[], None]) -> str:
-    """What a save raised that is no OSError."""
+    """The error of a save that is no OSError."""
     try:
         save()
     except OSError:

@@ -10,7 +10,6 @@ import threading
 import time
 from functools import partial
 
-import jax
 import pytest
 
 from sfgs_jax.arrays import InputError
@@ -29,6 +28,7 @@ from sfgs_jax.cli import (
 from sfgs_jax.datasets import SyntheticRecording, prefetch, write_recording
 from sfgs_jax.geometry import read_tum
 
+pytestmark = pytest.mark.usefixtures("own_compilation_cache")
 NUM_FRAMES = 4
 # Settings of a test of `run`, whose programs serve here as well: the smallest system that tracks and maps.
 SMALL = shlex.split(
@@ -42,23 +42,6 @@ def recording_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recordings") / "my room"
     write_recording(SyntheticRecording(num_frames=NUM_FRAMES, width=96, height=72), folder, layout="folder")
     return folder
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_compilation_cache(tmp_path_factory):
-    """Runs leave the user's cache alone, and JAX's settings as they were."""
-    names = (
-        "jax_compilation_cache_dir",
-        "jax_persistent_cache_min_compile_time_secs",
-        "jax_persistent_cache_min_entry_size_bytes",
-    )
-    before = {name: jax.config.values[name] for name in names}
-    with pytest.MonkeyPatch.context() as patch:
-        folder = before["jax_compilation_cache_dir"] or str(tmp_path_factory.mktemp("programs"))
-        patch.setenv("JAX_COMPILATION_CACHE_DIR", folder)
-        yield
-    for name, value in before.items():
-        jax.config.update(name, value)
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import tempfile
 from functools import partial
 
 import cv2
-import jax
 import numpy as np
 import pytest
 
@@ -22,6 +21,7 @@ from sfgs_jax.slam.run import saved_facts
 from sfgs_jax.splatting import load_ply
 from tests.viewer.browser import OpenPage
 
+pytestmark = pytest.mark.usefixtures("own_compilation_cache")
 SMALL = [
     "--mapping.capacity",
     "8192",
@@ -45,23 +45,6 @@ def recording_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recordings") / "room"
     write_recording(SyntheticRecording(num_frames=NUM_FRAMES, width=96, height=72), folder, layout="folder")
     return folder
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_compilation_cache(tmp_path_factory):
-    """Tests leave the user's cache alone, and JAX's settings as they were."""
-    names = (
-        "jax_compilation_cache_dir",
-        "jax_persistent_cache_min_compile_time_secs",
-        "jax_persistent_cache_min_entry_size_bytes",
-    )
-    before = {name: jax.config.values[name] for name in names}
-    with pytest.MonkeyPatch.context() as patch:
-        folder = before["jax_compilation_cache_dir"] or str(tmp_path_factory.mktemp("programs"))
-        patch.setenv("JAX_COMPILATION_CACHE_DIR", folder)
-        yield
-    for name, value in before.items():
-        jax.config.update(name, value)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
-from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at
+from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at, with_reference
 
 _CONSISTENT = float(chi2.ppf(0.99, 6))
 """Largest squared Mahalanobis distance between what the graph says and what the keyframe says: a hundredth of
@@ -56,13 +56,11 @@ def revisited(
     with_keypoints = params.config.features.kind != "none"
     if not supports_edge(again, float(np.abs(off).max()), config, with_keypoints=with_keypoints):
         return tracker, found
-    if bool(needs_keyframe(again, params.config)) or not _agrees(
-        params, graph, (found.registration, again), off
-    ):
+    agrees = _agrees(params, graph, (found.registration, again), off)
+    if bool(needs_keyframe(again, params.config)) or not agrees:
         return tracker, found
-    return return_to_keyframe(
-        tracker, found, target, graph.poses[number], np.asarray(number, np.int32), again
-    )
+    keyframe = np.asarray(number, np.int32)
+    return return_to_keyframe(tracker, found, target, graph.poses[number], keyframe, again)
 
 
 def _nearest(
@@ -116,21 +114,12 @@ def return_to_keyframe(
         again: registration of the frame to it.
     """
     pose = jnp.asarray(pose)
-    slot, T = tracker.current, again.T_target_source
+    T = again.T_target_source
     # The motion by which the keyframe was rectified is not kept with it.
     still = jax.tree.map(jnp.zeros_like, tracker.last_motion)
-    ring = (
-        tracker.references,
-        tracker.reference_motions,
-        tracker.reference_poses,
-        tracker.reference_keyframes,
-    )
-    new = (features, still, pose, keyframe)
-    tracker = eqx.tree_at(
-        lambda t: (t.references, t.reference_motions, t.reference_poses, t.reference_keyframes),
-        tracker,
-        jax.tree.map(lambda ring, x: ring.at[slot].set(x), ring, new),
-    )
+    # One step back in the ring, so that the keyframe takes the place of the frame.
+    tracker = eqx.tree_at(lambda t: t.current, tracker, tracker.current - 1)
+    tracker = with_reference(tracker, features, still, pose, jnp.asarray(keyframe))
     tracker = eqx.tree_at(
         lambda t: (t.num_keyframes, t.T_reference_cam, t.last_registration, t.has_last),
         tracker,
