@@ -8,7 +8,8 @@ DEMO_OUT ?= demo_out
 PYTEST_WORKERS ?= 2
 # Tests run each of their many programs a few times: programs that compile fast suit them better than fast ones.
 # Where a test is about XLA's defaults, or about the last digits of float64, it asks for them itself.
-TEST_XLA_FLAGS ?= --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
+TEST_XLA_FLAGS ?= --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false \
+	--xla_cpu_parallel_codegen_split_count=1
 # What one worker has compiled, the other and the next run need not. Keeping a program takes less time than
 # compiling the smallest.
 TEST_CACHE = JAX_COMPILATION_CACHE_DIR="$${JAX_COMPILATION_CACHE_DIR:-$(abspath $(VENV))/test_programs}" \

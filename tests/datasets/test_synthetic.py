@@ -229,6 +229,36 @@ def test_bare_places_have_no_texture_when_seen_alone(place):
     assert np.ptp(np.asarray(recording[0].rgb).mean(axis=2)) > 0.3
 
 
+@pytest.fixture(scope="module")
+def building():
+    return SyntheticRecording(num_frames=10_000, width=64, height=48, place="building")
+
+
+def test_the_walk_leads_through_thirty_rooms_and_back_to_the_first(building):
+    positions = building.ground_truth.positions
+    metres, degrees = _steps(building.ground_truth.poses)
+    assert metres.max() < 0.05
+    assert degrees.max() < 8
+    rooms = np.rint(positions[:, :2] / 7).astype(int)
+    assert len(np.unique(rooms, axis=0)) == 30
+    first = np.all(rooms == 0, axis=1)
+    away = np.flatnonzero(np.diff(first.astype(int)))
+    assert first[0]
+    assert first[-1]
+    assert away[1] - away[0] > 8000
+
+
+def test_a_frame_shows_what_the_whole_building_would(building):
+    for index in (0, 2500, 9300):
+        whole = render_view(
+            building.scene, building.camera, se3.from_matrix(building.ground_truth.poses[index])
+        )
+        seen = building[index].depth > 0
+        # Beyond the next room it is dark.
+        assert seen.mean() > 0.9
+        np.testing.assert_allclose(building[index].depth[seen], np.asarray(whole.depth)[seen], rtol=1e-5)
+
+
 def test_unknown_place_is_named():
     with pytest.raises(InputError, match="cellar"):
         SyntheticRecording.parse("synthetic:place=cellar")

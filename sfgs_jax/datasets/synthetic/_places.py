@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.datasets.synthetic._building import Building, add_building, walk
 from sfgs_jax.datasets.synthetic._furnished_room import furnished_room
 from sfgs_jax.datasets.synthetic._path import along, closed_path, looking
 from sfgs_jax.datasets.synthetic._scene import Scene, SceneBuilder, Triple
@@ -19,10 +20,17 @@ _THINGS = ("wood", "pale_wood", "fabric", "mosaic", "poster", "books_x", "cerami
 
 
 class Place(NamedTuple):
-    """A scene, and the `T_world_cam` of the camera that walks through it."""
+    """A scene, and the `T_world_cam` of the camera that walks through it.
+
+    Attributes:
+        scene: all of it.
+        poses: of the camera.
+        part: the part that is seen from a position in metres; always the whole if not given.
+    """
 
     scene: Scene
     poses: Float[np.ndarray, "n 4 4"]
+    part: Callable[[Float[np.ndarray, "3"]], Scene] | None = None
 
 
 def _room(seed: int, num_frames: int) -> Place:
@@ -111,12 +119,23 @@ def _sphere(seed: int, num_frames: int) -> Place:
     return Place(builder.build(rng), looking(position, angle + np.pi, -0.05 + 0 * phase, 0 * phase))
 
 
+def _building(seed: int, num_frames: int) -> Place:
+    """Thirty rooms and the corridors between them; the camera sees no further than the next room."""
+    rng = np.random.default_rng(seed)
+    builder = SceneBuilder()
+    cells = add_building(builder, rng)
+    scene = builder.build(rng)
+    position, yaw = walk(num_frames)
+    return Place(scene, _walked(position, yaw, num_frames), Building(scene, cells).part)
+
+
 PLACES: dict[str, Callable[[int, int], Place]] = {
     "room": _room,
     "ring": _ring,
     "twins": _twins,
     "wall": _wall,
     "sphere": _sphere,
+    "building": _building,
 }
 """Makes a place from a seed and a number of frames."""
 

@@ -12,7 +12,7 @@ from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets.synthetic._kinect_faults import KINECT_V1, KinectFaults, row_delays
 from sfgs_jax.datasets.synthetic._noise import add_noise
 from sfgs_jax.datasets.synthetic._path import poses_between
-from sfgs_jax.datasets.synthetic._places import PLACES
+from sfgs_jax.datasets.synthetic._places import PLACES, Place
 from sfgs_jax.datasets.synthetic._render import IdealView, render_view
 from sfgs_jax.datasets.synthetic._rolling_shutter import colour_by_rows, depth_by_rows
 from sfgs_jax.datasets.synthetic._scene import Scene
@@ -54,7 +54,7 @@ class SyntheticRecording:
     """Name of the place, one of `PLACES`; docs/datasets.md describes them."""
     faults: KinectFaults | None = None
     """Systematic faults of the camera, such as `KINECT_V1`; None for none."""
-    _scene: Scene = field(init=False, repr=False, compare=False)
+    _place: Place = field(init=False, repr=False, compare=False)
     _trajectory: Trajectory = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -66,9 +66,9 @@ class SyntheticRecording:
                 f"not {self.num_frames} of {self.width}x{self.height} with seed {self.seed}."
             )
         timestamps = np.arange(self.num_frames, dtype=np.float64) / _FRAMES_PER_SECOND
-        scene, poses = PLACES[self.place](self.seed, self.num_frames)
-        object.__setattr__(self, "_scene", scene)
-        object.__setattr__(self, "_trajectory", Trajectory(timestamps, poses))
+        place = PLACES[self.place](self.seed, self.num_frames)
+        object.__setattr__(self, "_place", place)
+        object.__setattr__(self, "_trajectory", Trajectory(timestamps, place.poses))
 
     @classmethod
     def parse(cls, source: str) -> "SyntheticRecording":
@@ -118,7 +118,7 @@ class SyntheticRecording:
     @property
     def scene(self) -> Scene:
         """The triangles and textures of the place."""
-        return self._scene
+        return self._place.scene
 
     @property
     def timestamps(self) -> Float[np.ndarray, " n"]:
@@ -187,7 +187,12 @@ class SyntheticRecording:
         )
 
     def _ideal_view(self, index: int) -> IdealView:
-        return render_view(self._scene, self.camera, se3.from_matrix(self._trajectory.poses[index]))
+        return render_view(self._scene_at(index), self.camera, se3.from_matrix(self._trajectory.poses[index]))
+
+    def _scene_at(self, index: int) -> Scene:
+        """The part of the place that a frame may see."""
+        part = self._place.part
+        return self.scene if part is None else part(self._trajectory.positions[index])
 
     def _view_with_faults(self, index: int) -> IdealView:
         """The images but for noise: every row seen from where the camera is at its time."""
@@ -195,15 +200,16 @@ class SyntheticRecording:
         still = np.eye(4)
         middles = self.timestamps[index] + faults.sub_exposures()
         centres, corners = np.arange(height), np.arange(height + 1) - 0.5
+        scene = self._scene_at(index)
         rgb = colour_by_rows(
-            self._scene,
+            scene,
             camera,
             self._row_poses(middles, centres, faults.colour_readout, still),
             self._row_poses(middles, corners, faults.colour_readout, still),
         )
         middle = self.depth_timestamps[index : index + 1]
         poses = self._row_poses(middle, centres, faults.depth_readout, self.T_colour_depth)
-        depth, facing = depth_by_rows(self._scene, camera, jax.tree.map(lambda x: x[0], poses))
+        depth, facing = depth_by_rows(scene, camera, jax.tree.map(lambda x: x[0], poses))
         inverse = 1 / jnp.where(depth > 0, depth, 1) + jnp.asarray(self.inverse_depth_offsets, jnp.float32)
         return IdealView(
             rgb=jnp.clip(rgb * self.gains[index].item(), 0, 1),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.datasets.synthetic._textures import Materials, Waves, random_waves
 
@@ -96,6 +96,11 @@ class SceneBuilder:
     _material: list[np.ndarray] = field(default_factory=list)
     _origin: list[np.ndarray] = field(default_factory=list)
 
+    @property
+    def num_triangles(self) -> int:
+        """Triangles added so far."""
+        return sum(len(triangles) for triangles in self._triangles)
+
     def faces(self, look: str, corners: Float[np.ndarray, "t 3 3"]) -> None:
         """Add triangles.
 
@@ -161,6 +166,26 @@ class SceneBuilder:
             materials=_materials(rng),
             waves=random_waves(rng),
         )
+
+
+def part_of(scene: Scene, chosen: Bool[np.ndarray, " t"], room: int) -> Scene:
+    """Some of a scene's triangles, and as many without area as fill the arrays.
+
+    Args:
+        scene: the whole.
+        chosen: triangles to keep.
+        room: triangles of the result, at least as many as are chosen.
+    """
+    kept = np.flatnonzero(chosen)
+    filled = np.pad(kept, (0, room - len(kept)))
+    real = (np.arange(room) < len(kept))[:, None, None]
+    return Scene(
+        triangles=jnp.where(real, scene.triangles[filled], 0),
+        material=scene.material[filled],
+        origin=scene.origin[filled],
+        materials=scene.materials,
+        waves=scene.waves,
+    )
 
 
 def inside_of_box(extents: Triple) -> Float[np.ndarray, "12 3 3"]:
