@@ -14,6 +14,7 @@ from sfgs_jax.slam.frontend import feature_shapes, supports_loop
 from sfgs_jax.slam.keyframes import (
     accept_consistent_loops,
     bend,
+    compile_ahead,
     neighbours,
     optimise_poses,
     travelled,
@@ -122,6 +123,29 @@ def test_a_loop_bends_the_graph_as_it_stands(drifted, circle):
     graph = replace(graph, poses=drifted.graph.poses)
     before = end_error(drifted, circle)
     assert end_error(replace(drifted, graph=bend(graph, config)), circle) < before / 5
+
+
+def test_a_large_graph_bends_as_a_small_one(drifted, circle):
+    """Beyond 128 keyframes the solver is sparse."""
+    config = drifted.config.graph
+    loop = replace(true_loop(circle, 0, COUNT - 1), loop=True)
+    graph = replace(drifted.graph, edges=(*drifted.graph.edges, loop), num_absorbed=COUNT - 1)
+    small, large = (bend(graph, replace(config, capacity=capacity)) for capacity in (16, 256))
+    assert np.abs(small.poses - graph.poses).max() > 0.05
+    np.testing.assert_allclose(large.poses, small.poses, atol=1e-4)
+
+
+def test_the_solver_is_compiled_before_the_graph_needs_it(drifted, circle, compilations):
+    """Three quarters full, the solver for twice as many keyframes is compiled in the background."""
+    config = replace(drifted.config.graph, capacity=COUNT)
+    prepared = compile_ahead(drifted.graph, config)
+    assert prepared is not None
+    prepared.result()
+    loop = replace(true_loop(circle, 0, COUNT - 1), loop=True)
+    before = len(compilations)
+    bend(replace(drifted.graph, edges=(*drifted.graph.edges, loop)), replace(config, capacity=2 * COUNT))
+    assert len(compilations) == before
+    assert compile_ahead(drifted.graph, replace(config, capacity=2 * COUNT)) is None
 
 
 def test_loops_that_contradict_each_other_close_nothing(drifted, circle):

@@ -17,6 +17,10 @@ BatchSize = tuple[int, int]
 """Own and boundary poses that each front of a batch has room for."""
 
 
+TRAJECTORY_FRONT: BatchSize = (24, 48)
+"""Size of front that the graph of a camera's way seldom exceeds, though it crosses itself."""
+
+
 @dataclass(frozen=True)
 class Capacities:
     """Sizes of the arrays of a graph's structure; pass a graph's on to the next that grows from it."""
@@ -33,8 +37,21 @@ class Capacities:
     batches: tuple[BatchSize, ...] = ()
     """Sizes of the batches of fronts of the sparse solver; empty for those of the graph."""
 
+    least_front: BatchSize = (0, 0)
+    """Size that every front has room for where `batches` is empty; doubled where that is not enough. Graphs
+    of as many poses then mostly run one program, however their edges lie."""
+
     def __post_init__(self) -> None:
         check_counts(self, 0, "blocks", "clusters", "cluster_poses")
+
+    @classmethod
+    def for_trajectory(cls, *, edges: int) -> "Capacities":
+        """Capacities of a graph of relative poses along a way, each tied to a few near it.
+
+        Args:
+            edges: most edges of the graph.
+        """
+        return cls(blocks=edges, least_front=TRAJECTORY_FRONT)
 
     @classmethod
     def for_window(cls, *, landmarks: int, poses: int) -> "Capacities":

@@ -84,6 +84,7 @@ def plan_elimination(
     columns: Int[np.ndarray, " B"],
     num_poses: int,
     given: tuple[BatchSize, ...] = (),
+    least: BatchSize = (0, 0),
 ) -> EliminationPlan:
     """Plan for a symmetric pattern of blocks, by nested dissection.
 
@@ -92,6 +93,7 @@ def plan_elimination(
         columns: (B,) second pose.
         num_poses: P.
         given: sizes of the batches to keep to while they suffice.
+        least: size to keep to without them.
     """
     tree = dissect(rows, columns, num_poses)
     batches = _with_sizes(
@@ -101,6 +103,7 @@ def plan_elimination(
             for batch in _batches(tree.depths[depth], depth)
         ],
         given,
+        least,
     )
     places, end = _front_places(batches)
     transposed = tree.order[columns] > tree.order[rows]
@@ -124,9 +127,11 @@ def _batches(nodes: list[Node], depth: int) -> list[tuple[list[Node], int]]:
     return batches
 
 
-def _with_sizes(batches: list[tuple[list[Node], int]], given: tuple[BatchSize, ...]) -> list[_NodeBatch]:
+def _with_sizes(
+    batches: list[tuple[list[Node], int]], given: tuple[BatchSize, ...], least: BatchSize
+) -> list[_NodeBatch]:
     """Batches with the size of their fronts; the last is the root, which has no boundary."""
-    known = given if len(given) == len(batches) else ((0, 0),) * len(batches)
+    known = given if len(given) == len(batches) else (least,) * len(batches)
     sized = []
     for (nodes, count), (own, boundary) in zip(batches, known, strict=True):
         o = capacity_for(_with_room(max((len(node.own) for node in nodes), default=0)), own)

@@ -90,7 +90,7 @@ class FactorGraph(eqx.Module):
         self.plan = None
         if linear_solver == "sparse":
             rows, columns = np.asarray(self.structure.rows), np.asarray(self.structure.columns)
-            self.plan = plan_elimination(rows, columns, num_poses, capacities.batches)
+            self.plan = plan_elimination(rows, columns, num_poses, capacities.batches, capacities.least_front)
 
     @property
     def num_poses(self) -> int:

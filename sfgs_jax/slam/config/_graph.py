@@ -68,7 +68,7 @@ class GraphConfig:
     relocalisation_inliers: int = 30
     """Least keypoint inliers with which a lost frame is found again in a keyframe."""
     capacity: int = 128
-    """Keyframes, and half the registrations, that the solver has room for at first. It doubles when full."""
+    """Keyframes that the solver has room for at first. It doubles when full."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""

@@ -1,7 +1,9 @@
 """Pose graph: the poses of all keyframes by the motions between them."""
 
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import jax.numpy as jnp
 import jaxlie
@@ -9,13 +11,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sfgs_jax.arrays import doubled
-from sfgs_jax.factor_graph import FactorGraph, SolverConfig, Status, Values, solve
-from sfgs_jax.geometry import Kernel, se3
+from sfgs_jax.factor_graph import Capacities, FactorGraph, SolverConfig, Status, Values, solve
+from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._edges import relative_poses
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 
 _SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4)
+
+_background = ThreadPoolExecutor(1)
+_asked_for: set[tuple[int, GraphConfig]] = set()
+"""Capacities and settings that the solver has been compiled for in the background."""
 
 
 def optimise_poses(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
@@ -62,24 +68,7 @@ def _solved(
 ) -> KeyframeGraph:
     """The graph at the optimum, unless there is none."""
     capacity = pose_capacity(graph, config)
-    kernels: tuple[tuple[Sequence[Edge], Kernel], ...] = (
-        (steady, "huber"),
-        (loops, "dynamic_covariance_scaling"),
-    )
-    factors = [
-        relative_poses(
-            edges,
-            2 * capacity,
-            noise=graph.noise,
-            offsets=graph.offsets,
-            kernel=kernel,
-            kernel_width=config.kernel_width,
-        )
-        for edges, kernel in kernels
-    ]
-    free = np.zeros(capacity, bool)
-    free[1 : len(graph.keyframes)] = True
-    problem = FactorGraph(factors, num_poses=capacity, free_poses=free, linear_solver="dense")
+    problem = _problem(graph, config, capacity, steady, loops)
     start = Values(jaxlie.SE3(padded_poses(graph.poses, capacity)))
     solution = solve(problem, start, config=_SOLVER)
     if int(solution.status) in (Status.DIVERGED, Status.SINGULAR):
@@ -88,14 +77,54 @@ def _solved(
     return replace(graph, poses=found)
 
 
+def _problem(
+    graph: KeyframeGraph, config: GraphConfig, capacity: int, steady: Sequence[Edge], loops: Sequence[Edge]
+) -> FactorGraph:
+    """Edges over all keyframes; graphs of one capacity mostly run one program, which is sparse if large."""
+    room = doubled(capacity * (config.num_neighbours + 1), len(steady))
+    block = partial(
+        relative_poses, noise=graph.noise, offsets=graph.offsets, kernel_width=config.kernel_width
+    )
+    factors = [
+        block(steady, room, kernel="huber"),
+        block(loops, doubled(capacity, len(loops)), kernel="dynamic_covariance_scaling"),
+    ]
+    free = np.zeros(capacity, bool)
+    free[1 : len(graph.keyframes)] = True
+    capacities = Capacities.for_trajectory(edges=room)
+    return FactorGraph(factors, num_poses=capacity, free_poses=free, capacities=capacities)
+
+
+def compile_ahead(graph: KeyframeGraph, config: GraphConfig) -> Future[None] | None:
+    """Compile the solver for twice as many keyframes in the background, once it is three quarters full.
+
+    Args:
+        graph: that grows.
+        config: settings.
+
+    Returns:
+        Done when it is compiled; None if there is room enough, or it has been asked for before.
+    """
+    capacity = pose_capacity(graph, config)
+    if len(graph.keyframes) <= capacity * 3 // 4 or (2 * capacity, config) in _asked_for:
+        return None
+    _asked_for.add((2 * capacity, config))
+    return _background.submit(_compile, graph, config, 2 * capacity)
+
+
+def _compile(graph: KeyframeGraph, config: GraphConfig, capacity: int) -> None:
+    problem = _problem(graph, config, capacity, graph.edges[:1], ())
+    solve(problem, Values(jaxlie.SE3(padded_poses(graph.poses, capacity))), config=_SOLVER)
+
+
 def pose_capacity(graph: KeyframeGraph, config: GraphConfig) -> int:
-    """Keyframes, and half the registrations, that the solver's arrays have room for.
+    """Keyframes that the solver's arrays have room for.
 
     Args:
         graph: to be optimised.
         config: settings.
     """
-    return doubled(config.capacity, max(len(graph.keyframes), -(-len(graph.edges) // 2)))
+    return doubled(config.capacity, len(graph.keyframes))
 
 
 def padded_poses(poses: Float[np.ndarray, "n 7"], capacity: int) -> Float[Array, "c 7"]:
