@@ -2,20 +2,21 @@
 
     python -m experiments.long_run synthetic:place=building,frames=10000
 
-A camera that stays in a place should cost the same in the last part as in the second, in time and in memory.
-The map is left out, so that the figures are those of tracking and the graph; `--map` takes it in.
+A camera that has been everywhere should cost the same in the last part as in the second, in time and in
+memory. A frame's time is that of its pose and of the graph; the map grows beside it, and is not refined at
+the end. Memory is the process's own, without files that are mapped into it.
 """
 
 import argparse
-import resource
-import time
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax import datasets, evaluation, slam
-from sfgs_jax.geometry import se3
+from sfgs_jax.geometry import Trajectory, se3
 
 _WRONG_METRES, _WRONG_RADIANS = 0.1, 0.1
 """Error of an edge's motion beyond which it is wrong."""
@@ -26,50 +27,71 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("source", help="recording with ground truth")
     parser.add_argument("--part", type=int, default=1000, help="frames of a row")
-    parser.add_argument("--map", action="store_true", help="build the map too")
+    parser.add_argument("--realtime", action="store_true", help="map in a thread of its own")
     options = parser.parse_args()
     recording = datasets.open_recording(options.source)
-    advance = slam.step if options.map else slam.follow
-    state, seconds = slam.init(recording.camera), []
-    print("| frames | keyframes | edges | mean, ms | 95 %, ms | longest, ms | lost | memory, MB |")
-    print("|---|---|---|---|---|---|---|---|")
-    for number in range(len(recording)):
-        frame = recording[number]
-        start = time.perf_counter()
-        state, *_ = advance(state, frame)
-        seconds.append(time.perf_counter() - start)
-        if (number + 1) % options.part == 0 or number + 1 == len(recording):
-            print(_row(state, 1e3 * np.asarray(seconds[-options.part :]), number + 1), flush=True)
-    state = slam.finish(state)
-    assert recording.ground_truth is not None
-    ate = evaluation.ate(state.trajectory, recording.ground_truth)
-    path = np.linalg.norm(np.diff(recording.ground_truth.positions, axis=0), axis=1).sum()
-    errors = _edge_errors(state, recording.ground_truth.poses)
+    if recording.ground_truth is None:
+        raise SystemExit("The recording has no ground truth.")
+    config = slam.SlamConfig()
+    config = replace(config, mapping=replace(config.mapping, final_steps=0))
+    rows = _Rows(options.part, len(recording))
+    with tempfile.TemporaryDirectory() as folder:
+        run = slam.run(
+            ((number, recording[number]) for number in range(len(recording))),
+            recording.camera,
+            config,
+            observer=rows,
+            storage=Path(folder),
+            realtime=options.realtime,
+        )
+    print(_summary(run.state, recording.ground_truth))
+
+
+class _Rows:
+    """Prints a row of the table after each part of a run."""
+
+    def __init__(self, part: int, frames: int) -> None:
+        self._part, self._frames, self._total = part, frames, 0.0
+        self._ms: list[float] = []
+        print("| frames | keyframes | edges | Gaussians | mean, ms | 95 %, ms | longest, ms | lost | MB |")
+        print("|---|---|---|---|---|---|---|---|---|", flush=True)
+
+    def __call__(self, progress: slam.Progress) -> None:
+        total = progress.run.stopwatch.total("frame")
+        self._ms.append(1e3 * (total - self._total))
+        self._total = total
+        if progress.done % self._part and progress.done != self._frames:
+            return
+        state, ms = progress.run.state, np.asarray(self._ms)
+        cells = (
+            progress.done,
+            len(state.graph.keyframes),
+            len(state.graph.edges),
+            progress.num_gaussians,
+            f"{ms.mean():.1f}",
+            f"{np.percentile(ms, 95):.1f}",
+            f"{ms.max():.0f}",
+            state.num_lost,
+            _own_megabytes(),
+        )
+        print(f"| {' | '.join(map(str, cells))} |", flush=True)
+        self._ms.clear()
+
+
+def _own_megabytes() -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("RssAnon")) >> 10
+
+
+def _summary(state: slam.SlamState, truth: Trajectory) -> str:
+    ate = evaluation.ate(state.trajectory, truth)
+    path = np.linalg.norm(np.diff(truth.positions, axis=0), axis=1).sum()
+    errors = _edge_errors(state, truth.poses)
     wrong = (errors[:, 0] > _WRONG_METRES) | (errors[:, 1] > _WRONG_RADIANS)
-    print(
+    return (
         f"\nATE {100 * ate.rmse_m:.2f} cm, {100 * ate.rmse_m / path:.3f} % of {path:.0f} m; "
-        f"{len(state.graph.loops)} edges to earlier keyframes; {wrong.sum()} of {len(wrong)} edges wrong; "
-        f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024} MB"
+        f"{len(state.graph.loops)} edges to earlier keyframes; {wrong.sum()} of {len(wrong)} edges wrong"
     )
-
-
-def _row(state: slam.SlamState, ms: Float[np.ndarray, " n"], frames: int) -> str:
-    cells = (
-        frames,
-        len(state.graph.keyframes),
-        len(state.graph.edges),
-        f"{ms.mean():.1f}",
-        f"{np.percentile(ms, 95):.1f}",
-        f"{ms.max():.0f}",
-        state.num_lost,
-        _resident_megabytes(),
-    )
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def _resident_megabytes() -> int:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() >> 20
 
 
 def _edge_errors(state: slam.SlamState, truth: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "e 2"]:

@@ -9,7 +9,7 @@ import pytest
 from registrations import registration
 
 from sfgs_jax import slam
-from sfgs_jax.factor_graph import RelativePose, Status
+from sfgs_jax.factor_graph import RelativePose
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.keyframes import (
     advance_graph,
@@ -20,7 +20,7 @@ from sfgs_jax.slam.keyframes import (
     with_frame_passed,
     with_positions,
 )
-from sfgs_jax.slam.state import Adjustment, Landmarks
+from sfgs_jax.slam.state import Adjustment, Landmarks, PendingAdjustment
 
 
 @pytest.fixture(scope="module")
@@ -133,16 +133,15 @@ def test_keyframes_that_came_meanwhile_move_with_their_reference(run):
     poses = np.concatenate([run.graph.poses[:2], moved[None]])
     none = np.zeros(0, int)
     found = Adjustment(
+        poses=poses,
         members=np.arange(3),
         anchor=0,
+        covariances=np.zeros((3, 6, 6)),
         landmarks=none,
-        poses=jnp.asarray(poses),
-        covariances=jnp.zeros((3, 6, 6)),
-        points=jnp.zeros((0, 3)),
-        status=jnp.asarray(int(Status.CONVERGED)),
-        frames_left=0,
+        points=np.zeros((0, 3), np.float32),
     )
-    graph = replace(run.graph, landmarks=Landmarks(none, np.zeros((0, 3))), adjustment=found)
+    pending = PendingAdjustment(found, 0)
+    graph = replace(run.graph, landmarks=Landmarks(none, np.zeros((0, 3))), adjustment=pending)
     after = with_adjustment_taken(graph)
     assert [k.reference for k in graph.keyframes] == [0, 0, 1, 2, 3]
     before, now = (se3.matrices_of(poses) for poses in (graph.poses, after.poses))
@@ -151,8 +150,6 @@ def test_keyframes_that_came_meanwhile_move_with_their_reference(run):
         np.testing.assert_allclose(
             np.linalg.inv(now[2]) @ now[number], np.linalg.inv(before[2]) @ before[number], atol=1e-5
         )
-    diverged = replace(graph, adjustment=replace(found, status=jnp.asarray(int(Status.DIVERGED))))
-    np.testing.assert_array_equal(with_adjustment_taken(diverged).poses, graph.poses)
 
 
 def test_a_run_saved_during_an_adjustment_goes_on_to_the_bit(room, frames, config, tmp_path):

@@ -1,9 +1,11 @@
 """Adjustments that run while the next frames are tracked, and what becomes of the graph meanwhile."""
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from sfgs_jax.factor_graph import Status
 from sfgs_jax.geometry import se3
@@ -11,16 +13,22 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._adjustment import adjust, window_of
 from sfgs_jax.slam.keyframes._covariances import covariances_in_world
 from sfgs_jax.slam.keyframes._landmarks import with_positions
-from sfgs_jax.slam.state._keyframe_graph import Adjustment, KeyframeGraph
+from sfgs_jax.slam.keyframes._pose_graph import bend
+from sfgs_jax.slam.state._keyframe_graph import Adjustment, Keyframe, KeyframeGraph, PendingAdjustment
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _aside = ThreadPoolExecutor(1)
-"""A thread to start adjustments from. JAX runs the calls of one thread in order, so that the next frame would
-wait for an adjustment; calls of two threads run side by side."""
+"""A thread for adjustments, so that tracking waits neither for their solvers nor for their set-up. A graph is
+never changed, only replaced: the thread has its own as it was."""
 
 
 def with_adjustment_begun(
-    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, *, around: int | None = None
+    params: TrackerParams,
+    graph: KeyframeGraph,
+    config: GraphConfig,
+    *,
+    around: int | None = None,
+    bent: bool = False,
 ) -> KeyframeGraph:
     """The graph with an adjustment started; it does not wait for the results.
 
@@ -29,22 +37,39 @@ def with_adjustment_begun(
         graph: without an adjustment.
         config: settings.
         around: number of the keyframe in the middle of the window, the newest if not given.
+        bent: whether the graph is bent by its new edges first.
     """
     if len(graph.keyframes) < 2:
         return graph
+    results = _aside.submit(_adjusted, params, graph, config, around, bent)
+    return replace(graph, adjustment=PendingAdjustment(results, config.adjustment_frames))
+
+
+def _adjusted(
+    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, around: int | None, bent: bool
+) -> Adjustment:
+    """The adjustment of a graph, whose keyframes after the window's newest move with their references."""
+    if bent:
+        graph = bend(graph, config)
     window = window_of(params, graph, config, around=around)
-    found = _aside.submit(adjust, params, window).result()
-    begun = Adjustment(
-        members=np.asarray(window.members),
-        anchor=int(window.anchor),
-        landmarks=np.asarray(window.landmarks),
-        poses=found.solution.values.poses.wxyz_xyz,
-        covariances=found.covariances,
-        points=found.solution.values.landmarks,
-        status=found.solution.status_code,
-        frames_left=config.adjustment_frames,
+    found = adjust(params, window)
+    if int(found.solution.status) == Status.DIVERGED:
+        none = np.zeros(0, int)
+        return Adjustment(graph.poses, none, 0, np.zeros((0, 6, 6)), none, np.zeros((0, 3), np.float32))
+    members, landmarks = (
+        np.asarray(numbers)[np.asarray(numbers) >= 0] for numbers in (window.members, window.landmarks)
     )
-    return replace(graph, adjustment=begun)
+    poses = graph.poses.copy()
+    poses[members] = np.asarray(found.solution.values.poses.wxyz_xyz)[: len(members)]
+    first = int(members.max()) + 1
+    return Adjustment(
+        poses=_with_later_ones(graph.keyframes, graph.poses, poses[:first]),
+        members=members,
+        anchor=int(window.anchor),
+        covariances=np.asarray(found.covariances, np.float64)[: len(members)],
+        landmarks=landmarks,
+        points=np.asarray(found.solution.values.landmarks)[: len(landmarks)],
+    )
 
 
 def with_frame_passed(graph: KeyframeGraph) -> KeyframeGraph:
@@ -69,30 +94,27 @@ def with_adjustment_taken(graph: KeyframeGraph) -> KeyframeGraph:
     Args:
         graph: before.
     """
-    found = graph.adjustment
-    if found is None:
+    if graph.adjustment is None:
         return graph
-    graph = replace(graph, adjustment=None)
-    if int(found.status) == Status.DIVERGED:
-        return graph
-    members = found.members[found.members >= 0]
-    poses, covariances = graph.poses.copy(), graph.covariances.copy()
-    poses[members] = np.asarray(found.poses)[: len(members)]
-    covariances[members] = covariances_in_world(
-        np.asarray(found.covariances, np.float64)[: len(members)],
-        poses[members],
-        graph.covariances[members],
-        found.anchor,
-    )
-    for number in range(int(members.max()) + 1, len(poses)):
-        reference = graph.keyframes[number].reference
-        before, after, moving = se3.matrices_of(
-            np.stack([graph.poses[reference], poses[reference], graph.poses[number]])
+    found = graph.adjustment.wait()
+    poses = _with_later_ones(graph.keyframes, graph.poses, found.poses)
+    covariances, members = graph.covariances.copy(), found.members
+    if len(members):
+        covariances[members] = covariances_in_world(
+            found.covariances, poses[members], graph.covariances[members], found.anchor
         )
-        poses[number] = se3.parameters_of((after @ np.linalg.inv(before) @ moving)[None])[0]
-    numbers = found.landmarks[found.landmarks >= 0]
     return with_positions(
-        replace(graph, poses=poses, covariances=covariances),
-        numbers,
-        np.asarray(found.points)[: len(numbers)],
+        replace(graph, adjustment=None, poses=poses, covariances=covariances), found.landmarks, found.points
     )
+
+
+def _with_later_ones(
+    keyframes: Sequence[Keyframe], before: Float[np.ndarray, "n 7"], moved: Float[np.ndarray, "m 7"]
+) -> Float[np.ndarray, "n 7"]:
+    """Poses of keyframes of which the first m have been moved; the others move with their references."""
+    poses = np.concatenate([moved, before[len(moved) :]])
+    for number in range(len(moved), len(before)):
+        reference = keyframes[number].reference
+        at, now, moving = se3.matrices_of(np.stack([before[reference], poses[reference], before[number]]))
+        poses[number] = se3.parameters_of((now @ np.linalg.inv(at) @ moving)[None])[0]
+    return poses

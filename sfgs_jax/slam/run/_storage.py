@@ -22,10 +22,18 @@ from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import feature_shapes
 from sfgs_jax.slam.run._tensor_file import read_tensors, write_tensors
-from sfgs_jax.slam.state import Adjustment, Edge, Keyframe, MapState, SlamState, View
+from sfgs_jax.slam.state import (
+    Adjustment,
+    Edge,
+    Keyframe,
+    MapState,
+    PendingAdjustment,
+    SlamState,
+    View,
+)
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 11
+FORMAT_VERSION = 12
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -190,7 +198,7 @@ def _without_images(state: SlamState) -> SlamState:
     views = tuple(_bare_view(v) for v in state.mapping.views)
     return replace(
         state,
-        graph=replace(state.graph, keyframes=keyframes),
+        graph=replace(state.graph.at_rest(), keyframes=keyframes),
         mapping=replace(state.mapping, views=views),
     )
 
@@ -257,11 +265,17 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     )
 
 
-def _blank_adjustment() -> Adjustment:
-    numbers = np.zeros(0, np.int64)
-    return Adjustment(
-        numbers, 0, numbers, jnp.zeros((0, 7)), jnp.zeros((0, 6, 6)), jnp.zeros((0, 3)), jnp.asarray(0), 0
+def _blank_adjustment() -> PendingAdjustment:
+    none = np.zeros(0, np.int64)
+    found = Adjustment(
+        poses=np.zeros((0, 7), np.float32),
+        members=none,
+        anchor=0,
+        covariances=np.zeros((0, 6, 6)),
+        landmarks=none,
+        points=np.zeros((0, 3), np.float32),
     )
+    return PendingAdjustment(found, 0)
 
 
 def _bare_keyframe(keyframe: Keyframe) -> Keyframe:

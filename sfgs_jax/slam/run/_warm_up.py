@@ -28,6 +28,7 @@ from sfgs_jax.slam.keyframes import (
     insert_keyframe,
     rectified_anew,
     return_to_keyframe,
+    with_adjustment_taken,
 )
 from sfgs_jax.slam.mapping import prune, refine_once
 from sfgs_jax.slam.state import SlamState, move, reference_at, with_graph_poses
@@ -70,6 +71,7 @@ def _compile_graph(state: SlamState) -> None:
     found = register(state.params, features, features, se3.identity())
     graph = insert_keyframe(state.params, state.graph, Reference(features, twist, times, 1), found, 0, config)
     graph, _ = advance_graph(state.params, replace(graph, pending=((0, 1),)), config, grown=True)
+    graph = with_adjustment_taken(graph)
     if graph.edges:
         bend(graph, config)
         candidates = graph.edges[:1] * config.loop_support

@@ -1,10 +1,11 @@
 """The keyframe graph: keyframes as nodes, registrations between them as edges."""
 
-from dataclasses import dataclass
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
 
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from sfgs_jax.arrays import pytree
 from sfgs_jax.slam.state._depth_information import DepthInformation, no_depth_information
@@ -116,30 +117,44 @@ class Landmarks:
 @pytree
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """An adjustment that has been started; its results are taken some frames later.
-
-    They are arrays that may still be computed while the next frames are tracked. When they are taken is
-    counted in frames, so that a run repeats itself to the bit however fast the machine is.
+    """Results of an adjustment of n keyframes, some of them with their landmarks.
 
     Attributes:
-        members: (W,) number of the keyframe of each pose; -1 where unused.
+        poses: (n, 7) poses found, as wxyz_xyz.
+        members: (w,) numbers of the keyframes that were adjusted with their landmarks.
         anchor: place among them of the keyframe that the covariances are relative to.
-        landmarks: (L,) number of each landmark; -1 where unused.
-        poses: (W, 7) poses found, as wxyz_xyz.
-        covariances: (W, 6, 6) of their tangents, as if the anchor were known.
-        points: (L, 3) landmarks found, world coordinates in metres.
-        status: a `factor_graph.Status`; there is no result if it is `DIVERGED`.
-        frames_left: frames until the results are taken.
+        covariances: (w, 6, 6) of the tangents of their poses, as if the anchor were known.
+        landmarks: (l,) numbers of the landmarks.
+        points: (l, 3) landmarks found, world coordinates in metres.
     """
 
-    members: Int[np.ndarray, " W"]
+    poses: Float[np.ndarray, "n 7"]
+    members: Int[np.ndarray, " w"]
     anchor: int
-    landmarks: Int[np.ndarray, " L"]
-    poses: Float[Array, "W 7"]
-    covariances: Float[Array, "W 6 6"]
-    points: Float[Array, "L 3"]
-    status: Int[Array, ""]
+    covariances: Float[np.ndarray, "w 6 6"]
+    landmarks: Int[np.ndarray, " l"]
+    points: Float[np.ndarray, "l 3"]
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class PendingAdjustment:
+    """An adjustment that a thread computes while the next frames are tracked.
+
+    When its results are taken is counted in frames, so that a run repeats itself to the bit however fast the
+    machine is.
+
+    Attributes:
+        results: those, or what they will be.
+        frames_left: frames until they are taken.
+    """
+
+    results: Adjustment | Future[Adjustment]
     frames_left: int
+
+    def wait(self) -> Adjustment:
+        """The results; it waits for them."""
+        return self.results.result() if isinstance(self.results, Future) else self.results
 
 
 @pytree
@@ -173,10 +188,16 @@ class KeyframeGraph:
     pending: tuple[tuple[int, int], ...]
     candidates: tuple[Edge, ...]
     landmarks: Landmarks
-    adjustment: Adjustment | None
+    adjustment: PendingAdjustment | None
     depth: DepthInformation
     offsets: Float[np.ndarray, " G"]
     times_covariance: Float[np.ndarray, "3 3"]
+
+    def at_rest(self) -> "KeyframeGraph":
+        """The same graph, whose pending adjustment has its results; it waits for them."""
+        if self.adjustment is None:
+            return self
+        return replace(self, adjustment=replace(self.adjustment, results=self.adjustment.wait()))
 
     @property
     def loops(self) -> tuple[Edge, ...]:
