@@ -44,6 +44,7 @@ class RegistrationResult(eqx.Module):
             pixel shows a surface, in an unorganised one a point is in reach. Points that do not overlap may
             be right without being inliers, so only an `inlier_fraction` below this share speaks against the
             motion.
+        unmeasured: share of them that meet a hole: the target looks there and has no depth.
         iterations: number of steps over all levels.
         converged: the last steps were short, and there are enough inliers.
         observability: (6,) how well the geometry fixes each direction of motion, ascending: the mean of the
@@ -59,6 +60,7 @@ class RegistrationResult(eqx.Module):
     rmse: Float[Array, ""]
     inlier_fraction: Float[Array, ""]
     overlap: Float[Array, ""]
+    unmeasured: Float[Array, ""]
     iterations: Int[Array, ""]
     converged: Bool[Array, ""]
     observability: Float[Array, "6"]
@@ -113,10 +115,11 @@ def assess(problem: LevelProblem, minimum: Minimum) -> RegistrationResult:
         weights * square,
         weights * pairs.variance,
         pairs.overlap.astype(square.dtype),
+        pairs.in_view.astype(square.dtype),
         source.valid.astype(square.dtype),
     )
     inliers = total(inlier_sums)
-    squares, weighted_squares, expected_squares, overlapping, points = map(total, sums)
+    squares, weighted_squares, expected_squares, overlapping, looked_at, points = map(total, sums)
     fraction = inliers / jnp.maximum(points, 1)
     excess = weighted_squares / jnp.maximum(expected_squares, 1)
 
@@ -145,6 +148,7 @@ def assess(problem: LevelProblem, minimum: Minimum) -> RegistrationResult:
         rmse=jnp.sqrt(squares / jnp.maximum(inliers, 1)),
         inlier_fraction=fraction,
         overlap=overlapping / jnp.maximum(points, 1),
+        unmeasured=(looked_at - overlapping) / jnp.maximum(points, 1),
         iterations=minimum.iterations,
         converged=minimum.converged & supported & (fraction >= config.min_inlier_fraction),
         observability=observability,

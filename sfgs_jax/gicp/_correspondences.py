@@ -83,6 +83,7 @@ class Correspondences(eqx.Module):
         normals: (3, N) target normals; the source's own where the target has none.
         covariances: (6, N) covariances of a Gaussian target, with a largest variance of about 1; else None.
         variance: (N,) variance expected of a distance along the normal, square metres.
+        in_view: (N,) whether the target looks where the point is, be there a surface or a hole.
         overlap: (N,) whether the point meets a surface, near or not.
         valid: (N,) whether it meets one that passes the gates of distance and normals.
     """
@@ -91,6 +92,7 @@ class Correspondences(eqx.Module):
     normals: Float[Array, "3 N"]
     covariances: Symmetric | None
     variance: Float[Array, " N"]
+    in_view: Bool[Array, " N"]
     overlap: Bool[Array, " N"]
     valid: Bool[Array, " N"]
 
@@ -229,6 +231,7 @@ def correspondences_of_rows(
         normals=normals,
         covariances=covariances,
         variance=jnp.broadcast_to(source.variance + target.variance, valid.shape),
+        in_view=valid,
         overlap=valid,
         valid=valid,
     )

@@ -31,6 +31,7 @@ RESULT = RegistrationResult(
     rmse=number(0.003102),
     inlier_fraction=number(0.9),
     overlap=number(1),
+    unmeasured=number(0),
     iterations=jnp.asarray(12),
     converged=jnp.asarray(True),
     observability=jnp.ones(6),

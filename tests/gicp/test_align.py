@@ -272,6 +272,9 @@ def test_overlap_counts_surfaces_of_the_target_that_fit_or_not():
     assert other.overlap > 0.7
     assert 0.4 < part.overlap < 0.6
     assert part.inlier_fraction > 0.95 * part.overlap
+    # The rest meets no surface, though the target looks there.
+    assert whole.unmeasured < 0.01
+    np.testing.assert_allclose(part.unmeasured, 1 - part.overlap, atol=0.01)
     assert other.inlier_fraction < 0.7 * other.overlap
 
 

@@ -38,7 +38,7 @@ def test_hessian_and_gradient_are_those_of_the_perturbed_residual(float64, rng):
     n = p.shape[1]
     q, t = jnp.asarray(rng.normal(size=(3, n))), jnp.asarray(unit_columns(rng, n))
     variance, valid = jnp.asarray(rng.uniform(0.5, 2, n)), problem.source.valid
-    pairs = Correspondences(q, t, None, variance, valid, valid)
+    pairs = Correspondences(q, t, None, variance, valid, valid, valid)
 
     def residuals(delta):
         r = se3.transform(se3.exp(delta), p.T) - q.T

@@ -118,3 +118,17 @@ def test_a_first_frame_that_shows_nothing_starts_no_map(long_room, config):
     state, (info,) = follow(state, long_room, [0])
     assert info.tracked
     np.testing.assert_allclose(se3.matrix(info.T_world_cam), np.eye(4))
+
+
+def test_holes_in_depth_take_no_keyframes(long_room, config):
+    """Half of each frame's depth is missing, other blocks each time. The camera has hardly moved."""
+    rng = np.random.default_rng(0)
+    config = replace(config, tracking=replace(config.tracking, keyframe_translation=0.3))
+    state = slam.init(long_room.camera, config)
+    for number in range(6):
+        frame = long_room[number]
+        kept = np.kron(rng.uniform(size=(15, 20)) > 0.5, np.ones((8, 8))) > 0
+        state, info, _ = slam.follow(state, replace(frame, depth=np.where(kept, frame.depth, 0)))
+        assert info.tracked
+        assert error(long_room, number, info) < 0.01
+    assert len(state.graph.keyframes) == 1

@@ -104,7 +104,7 @@ class TrackingConfig:
     motion_model_sigma: float = 0.1
     """Standard deviation of the constant-velocity motion model, metres and radians."""
     min_inlier_fraction: float = 0.3
-    """Least share of surface inliers that GICP needs to succeed."""
+    """Least share of surface inliers that GICP needs to succeed, but for points at holes of the reference."""
     min_inlier_fraction_alone: float = 0.4
     """Least share of surface inliers where no keypoints confirm GICP. Surfaces alone fit in many places."""
     min_agreement_alone: float = 0.75

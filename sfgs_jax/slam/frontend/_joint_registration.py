@@ -70,7 +70,9 @@ def register(
         return _without_surface(matched, start, helpful, many)
 
     surface = _align(params, source, target, matched, start, helpful, many, sweep)
-    fits = surface.inlier_fraction >= config.min_inlier_fraction
+    # Holes in the target's depth speak neither for a motion nor against it.
+    fraction = surface.inlier_fraction / jnp.maximum(1 - surface.unmeasured, 1e-3)
+    fits = fraction >= config.min_inlier_fraction
     num_free = jnp.sum(surface.free)
     # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
     keypoints = helpful & ((num_free == 0) | (share >= features.min_inlier_share_alone) | ~fits)
@@ -92,7 +94,7 @@ def register(
         surface_information=jnp.where(by_surface, surface.information, 0),
         matched=matched,
         source=judge(evidence),
-        inlier_fraction=surface.inlier_fraction,
+        inlier_fraction=fraction,
         rmse=surface.rmse,
         num_free=num_free,
     )

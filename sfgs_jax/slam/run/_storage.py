@@ -198,7 +198,7 @@ def _without_images(state: SlamState) -> SlamState:
     views = tuple(_bare_view(v) for v in state.mapping.views)
     return replace(
         state,
-        graph=replace(state.graph.at_rest(), keyframes=keyframes),
+        graph=replace(state.graph, keyframes=keyframes),
         mapping=replace(state.mapping, views=views),
     )
 

@@ -1,8 +1,10 @@
 """The keyframe graph: keyframes as nodes, registrations between them as edges."""
 
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
+import jax
 import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
@@ -136,13 +138,13 @@ class Adjustment:
     points: Float[np.ndarray, "l 3"]
 
 
-@pytree
+@jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True, eq=False)
 class PendingAdjustment:
     """An adjustment that a thread computes while the next frames are tracked.
 
     When its results are taken is counted in frames, so that a run repeats itself to the bit however fast the
-    machine is.
+    machine is. As a pytree it has the results' arrays: who asks for its leaves waits for them.
 
     Attributes:
         results: those, or what they will be.
@@ -155,6 +157,19 @@ class PendingAdjustment:
     def wait(self) -> Adjustment:
         """The results; it waits for them."""
         return self.results.result() if isinstance(self.results, Future) else self.results
+
+    def tree_flatten_with_keys(self) -> tuple[tuple[tuple[Any, Any], ...], None]:
+        """Children and their names, for JAX."""
+        names = map(jax.tree_util.GetAttrKey, ("results", "frames_left"))
+        return tuple(zip(names, (self.wait(), self.frames_left), strict=True)), None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, children: tuple[Any, Any]) -> "PendingAdjustment":
+        """From anything in place of the arrays, for JAX."""
+        tree = object.__new__(cls)
+        for name, child in zip(("results", "frames_left"), children, strict=True):
+            object.__setattr__(tree, name, child)
+        return tree
 
 
 @pytree
@@ -192,12 +207,6 @@ class KeyframeGraph:
     depth: DepthInformation
     offsets: Float[np.ndarray, " G"]
     times_covariance: Float[np.ndarray, "3 3"]
-
-    def at_rest(self) -> "KeyframeGraph":
-        """The same graph, whose pending adjustment has its results; it waits for them."""
-        if self.adjustment is None:
-            return self
-        return replace(self, adjustment=replace(self.adjustment, results=self.adjustment.wait()))
 
     @property
     def loops(self) -> tuple[Edge, ...]:

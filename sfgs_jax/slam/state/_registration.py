@@ -59,7 +59,7 @@ class Registration(eqx.Module):
         surface_information: (6, 6) of its tangent by GICP; 0 where GICP failed.
         matched: the motion by keypoints alone, and its matches.
         source: a `PoseSource`.
-        inlier_fraction: share of the source's points that lie on the target.
+        inlier_fraction: share of the source's points that lie on the target, but for those at its holes.
         rmse: root mean square distance of those along the normals, metres.
         num_free: directions of motion that the surface leaves free, 0 to 6.
     """

@@ -38,7 +38,8 @@ class StepInfo(NamedTuple):
         new_keyframe: whether the frame became a keyframe.
         new_view: whether the frame became a view of the map.
         loop_closed: whether a loop was closed in this step.
-        inlier_fraction: share of the frame's points that lie on the reference's surface.
+        inlier_fraction: share of the frame's points that lie on the reference's surface, but for those at its
+            holes.
         rmse: root mean square distance of those, metres.
         num_matches: keypoints matched with the reference's.
         num_inliers: matches that agree with the motion found.
