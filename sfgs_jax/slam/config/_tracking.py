@@ -126,7 +126,7 @@ class TrackingConfig:
     max_lost: int = 30
     """Lost frames in a row after which the surface alone finds no frame again. The camera may be anywhere by
     then, and surfaces fit in many places. Without keypoints there is no limit."""
-    keyframe_inlier_fraction: float = 0.6
+    keyframe_inlier_fraction: float = 0.7
     """Share of surface inliers below which a new keyframe is taken."""
     keyframe_translation: float = 0.3
     """Distance from the reference beyond which a new keyframe is taken, metres."""
