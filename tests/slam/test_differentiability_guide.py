@@ -59,11 +59,14 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng, weig
     params = examples["params"]
     features = replace(params.config.features, match_weights=weights)
     params = replace(params, config=replace(params.config, gicp=exact, features=features))
-    *inputs, tracker = in_float64((params, examples["image"], examples["depth"], examples["tracker"]))
+    *inputs, tracker = in_float64((params, *examples["inputs"][1:], examples["tracker"]))
 
     def directions(part):
-        # Weights move in proportion, missing depth stays missing.
-        return jax.tree.map(lambda x: x * rng.normal(size=x.shape) if eqx.is_inexact_array(x) else x, part)
+        # Weights move in proportion, missing depth stays missing; a grid of zeros moves by itself.
+        return jax.tree.map(
+            lambda x: (x if np.any(x) else 0.01) * rng.normal(size=x.shape) if eqx.is_inexact_array(x) else x,
+            part,
+        )
 
     with jax.numpy_dtype_promotion("standard"):  # indices are int64 here
         _, gradients = examples["moved"](inputs, tracker)
@@ -72,8 +75,13 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng, weig
             "network": lambda tree: tree[0].network,
             **({"descriptors": lambda tree: tree[0].network.describe} if weights == "learned" else {}),
             **({"reliability": lambda tree: tree[0].network.rely} if weights == "learned" else {}),
-            "image": lambda tree: tree[1],
-            "depth": lambda tree: tree[2],
+            "times of the rows": lambda tree: tree[0].timing,
+            "depth grid": lambda tree: tree[0].depth_correction.offsets,
+            "image": lambda tree: tree[1][-1],
+            "depth": lambda tree: tree[2][-1],
+            "earlier images": lambda tree: tree[1][:-1],
+            "earlier depths": lambda tree: tree[2][:-1],
+            "seconds": lambda tree: tree[3],
         }
         for name, part in parts.items():
             along = eqx.filter(directions(part(inputs)), eqx.is_inexact_array)
