@@ -1,9 +1,9 @@
 """Residuals of pairs of frames under a calibration of the camera, and Gauss-Newton over both.
 
 A frame's depth gives planes of inverse depth over the image, one a pixel. A calibration turns them into
-surface in the colour camera at the middle of its exposure, and gives each keypoint the depth of the surface
-that its ray meets. A pair of frames then has three kinds of residuals: where a matched keypoint of one frame
-appears in the other, its inverse depth there, and the inverse depth of surface.
+surface in the colour camera at the middle of its exposure. A keypoint has the depth of the surface that its
+ray meets. A pair of frames then has three kinds of residuals. A matched keypoint of one frame appears in the
+other at another pixel, and with another inverse depth. Points of surface have another inverse depth there.
 
 All of them are differentiable by the calibration and by both poses. Correspondences and robust weights are
 found anew before each step and held fixed in it.

@@ -9,8 +9,7 @@ derivatives are JAX's. Then the frames are tracked again with the calibration fo
 rows, and so on.
 
 Real recordings have no truth to compare with. They are judged by cycles of three registrations in frames that
-the calibration has not seen: as the recording is calibrated, from the wrong start, and with the calibration
-found.
+the calibration has not seen: as they are calibrated, with the wrong start, and with what was found.
 """
 
 import argparse

@@ -16,7 +16,7 @@ from sfgs_jax.superfeats import Features
 
 
 class TrackedSequence(eqx.Module):
-    """What happened to the frames of a sequence.
+    """Poses of the frames of a sequence, and how they came about.
 
     Attributes:
         T_world_cam: their poses, stacked; the last known one where a frame was lost.
