@@ -7,7 +7,9 @@ the default on recent GPUs, would move a point five metres away by millimetres. 
 on the host in float64.
 
 The library calls jaxlie's arithmetic here only. jaxlie mixes integers with floats and arrays of different
-rank, which strict promotion refuses, so promotion is allowed locally.
+rank, which strict promotion refuses, so promotion is allowed locally. The exponential and the rotation matrix
+are our own, as products with constant tensors. XLA compiles each small array of a program by itself, and
+jaxlie builds these from scalars: a quarter to a half of the arrays remain, and of the time to compile them.
 """
 
 from collections.abc import Callable
@@ -65,6 +67,30 @@ _EXACT = jax.lax.Precision.HIGHEST
 
 Pose = jaxlie.SE3 | Num[Array | np.ndarray, "*b 4 4"]
 """A rigid motion, or the homogeneous 4 x 4 matrix of one."""
+
+
+def _rotation_tensor() -> np.ndarray:
+    """(9, 16) map of products of a unit quaternion's entries to half its rotation matrix less 1."""
+    tensor = np.zeros((3, 3, 4, 4))
+    for i, j, k in [(0, 1, 2), (1, 2, 0), (2, 0, 1)]:
+        tensor[i, i, [1 + j, 1 + k], [1 + j, 1 + k]] = -1
+        tensor[i, j, [1 + i, 0], [1 + j, 1 + k]] = 1, -1
+        tensor[j, i, [1 + i, 0], [1 + j, 1 + k]] = 1
+    return tensor.reshape(9, 16)
+
+
+def _cross_tensor() -> np.ndarray:
+    """(9, 3) map of a vector to the matrix of its cross product, row by row."""
+    tensor = np.zeros((3, 3, 3))
+    for i, j, k in [(0, 1, 2), (1, 2, 0), (2, 0, 1)]:
+        tensor[k, j, i], tensor[j, k, i] = 1, -1
+    return tensor.reshape(9, 3)
+
+
+_ROTATION, _CROSS = _rotation_tensor(), _cross_tensor()
+
+_SMALL = 0.01
+"""Squared angle below which power series take the place of quotients that would be 0 by 0."""
 
 _RIGID = 1e-3
 """Largest error of a rotation matrix's orthonormality; matrices in text files have few digits."""
@@ -155,7 +181,21 @@ def _from_matrices(matrices: Num[Array | np.ndarray, "*b 4 4"], name: str) -> ja
 @_promoting
 def exp(tangent: Float[Array, "*b 6"]) -> jaxlie.SE3:
     """Motion of a tangent vector (translation first)."""
-    return jaxlie.SE3.exp(tangent)
+    moved, turned = tangent[..., :3], tangent[..., 3:]
+    square = jnp.sum(turned**2, axis=-1, keepdims=True)
+    small = square < _SMALL
+    safe = jnp.where(small, 1, square)
+    angle, s = jnp.sqrt(safe), jnp.where(small, square, 0)
+    cosine = jnp.where(small, 1 - s / 8 * (1 - s / 48 * (1 - s / 120)), jnp.cos(angle / 2))
+    sine = jnp.where(small, (1 - s / 24 * (1 - s / 80 * (1 - s / 168))) / 2, jnp.sin(angle / 2) / angle)
+    first = jnp.where(small, (1 - s / 12 * (1 - s / 30 * (1 - s / 56))) / 2, (1 - jnp.cos(angle)) / safe)
+    second = jnp.where(
+        small, (1 - s / 20 * (1 - s / 42 * (1 - s / 72))) / 6, (angle - jnp.sin(angle)) / (safe * angle)
+    )
+    cross = _cross_matrix(turned)
+    across = _applied(cross, moved)
+    position = moved + first * across + second * _applied(cross, across)
+    return jaxlie.SE3(jnp.concatenate([cosine, sine * turned, position], axis=-1))
 
 
 @_promoting
@@ -182,7 +222,10 @@ def inverse(T_a_b: Pose) -> jaxlie.SE3:
 @_promoting
 def matrix(T: Pose) -> Float[Array, "*b 4 4"]:
     """Homogeneous 4 x 4 matrix."""
-    return as_se3(T, axes=None).as_matrix()
+    T = as_se3(T, axes=None)
+    upper = jnp.concatenate([_rotation(T), T.wxyz_xyz[..., 4:, None]], axis=-1)
+    last = jnp.broadcast_to(jnp.asarray([0, 0, 0, 1], upper.dtype), (*upper.shape[:-2], 1, 4))
+    return jnp.concatenate([upper, last], axis=-2)
 
 
 @_promoting
@@ -191,9 +234,27 @@ def adjoint(T: Pose) -> Float[Array, "*b 6 6"]:
     return as_se3(T, axes=None).adjoint()
 
 
+@_promoting
 def rotation_matrix(T: Pose) -> Float[Array, "*b 3 3"]:
     """Rotation part, 3 x 3."""
-    return matrix(T)[..., :3, :3]
+    return _rotation(as_se3(T, axes=None))
+
+
+def _rotation(T: jaxlie.SE3) -> Float[Array, "*b 3 3"]:
+    q = T.wxyz_xyz[..., :4]
+    products = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
+    entries = jnp.matmul(products, jnp.asarray(_ROTATION.T, q.dtype), precision=_EXACT)
+    twice = 2 * entries / jnp.sum(q**2, axis=-1, keepdims=True)
+    return jnp.eye(3, dtype=q.dtype) + twice.reshape(*q.shape[:-1], 3, 3)
+
+
+def _cross_matrix(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    entries = jnp.matmul(vector, jnp.asarray(_CROSS.T, vector.dtype), precision=_EXACT)
+    return entries.reshape(*vector.shape[:-1], 3, 3)
+
+
+def _applied(matrix: Float[Array, "*b 3 3"], vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    return jnp.sum(matrix * vector[..., None, :], axis=-1)
 
 
 def transform(T_a_b: Pose, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:

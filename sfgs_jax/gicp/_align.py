@@ -58,8 +58,8 @@ def align(
         prior: prior of the motion, weighed against the residuals by their noise.
         coarsest: level to begin with, counted from 0, the finest; all levels if not given. A start that is
             good to a few centimetres needs no coarse ones. A new value does not compile anew.
-        sweep: motion of the camera while the source was read, for organised sources. Each step renews it;
-            the derivative of the motion takes it as it was at the end.
+        sweep: motion of the camera while the source was read, for organised sources. Each step renews it,
+            and the derivative of the motion heeds that.
         config: settings, `GicpConfig()` if not given.
 
     Raises:
@@ -136,7 +136,7 @@ def _coarse_to_fine_jvp(
 
     def corrected(moving: _Inputs) -> jaxlie.SE3:
         source, target, _, prior, _, sweep = moving
-        finest = level_problem(source, target, prior, 0, config, sweep=sweep).at(outputs[0])
+        finest = level_problem(source, target, prior, 0, config, sweep=sweep)
         return newton_corrected(finest, outputs[0])
 
     _, rate = eqx.filter_jvp(corrected, (inputs,), (rates,))

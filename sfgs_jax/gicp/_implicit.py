@@ -21,19 +21,21 @@ from sfgs_jax.gicp._normal_equations import NormalEquations, newton_step
 def newton_corrected(problem: LevelProblem, T_target_source: jaxlie.SE3) -> jaxlie.SE3:
     """Motion after one Newton step from a minimum, at fixed correspondences.
 
-    Its value is the minimum, up to the tolerance of the steps; its derivative is the minimum's.
+    Its value is the minimum, up to the tolerance of the steps; its derivative is the minimum's. Rows of a
+    source that was read with a motion move with the motion sought, here as in the steps.
 
     Args:
-        problem: the finest level.
+        problem: the finest level, with its points as they were read.
         T_target_source: minimum of the problem; a constant for the derivative.
     """
     fixed = lax.stop_gradient(problem)
-    pairs, index = associate(fixed.source, fixed.target, T_target_source)
+    pairs, index = associate(fixed.at(T_target_source).source, fixed.target, T_target_source)
 
     def equations_at(problem: LevelProblem, delta: Float[Array, "6"]) -> NormalEquations:
         moved = se3.compose(T_target_source, se3.exp(delta))
-        found = correspondences_of_rows(problem.source, problem.target, moved, index, pairs.valid)
-        return problem.equations(moved, found)
+        now = problem.at(moved)
+        found = correspondences_of_rows(now.source, now.target, moved, index, pairs.valid)
+        return now.equations(moved, found)
 
     def gradients(problem: LevelProblem, delta: Float[Array, "6"]) -> tuple[Array, Array | None]:
         equations = equations_at(problem, delta)

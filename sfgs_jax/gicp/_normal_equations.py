@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from sfgs_jax.arrays import INDICES, SQUARE, Symmetric, dot, identity_like, outer, symmetric_inverse
-from sfgs_jax.geometry import se3
+from sfgs_jax.geometry import inverse_right_jacobian, se3
 from sfgs_jax.gicp._config import Residual
 from sfgs_jax.gicp._exact_products import exact_products
 
@@ -207,15 +207,9 @@ def prior_equations(
     prior: MotionPrior, T: jaxlie.SE3
 ) -> tuple[Float[Array, "6 6"], Float[Array, "6"], Float[Array, ""]]:
     """Hessian, gradient and value of half x^T Lambda x, x = log(mean^-1 T exp(delta)), at delta = 0."""
-    T_mean_T = se3.compose(se3.inverse(prior.T_target_source), T)
-
-    def deviation(delta: Float[Array, "6"]) -> Float[Array, "6"]:
-        return se3.log(se3.compose(T_mean_T, se3.exp(delta)))
-
-    zero = jnp.zeros(6, T.wxyz_xyz.dtype)
-    jacobian = jax.jacfwd(deviation)(zero)
+    x = se3.log(se3.compose(se3.inverse(prior.T_target_source), T))
+    jacobian = inverse_right_jacobian(x[:, None])[:, :, 0]
     weighted = jacobian.T @ prior.information
-    x = deviation(zero)
     return weighted @ jacobian, weighted @ x, x @ prior.information @ x / 2
 
 

@@ -14,12 +14,14 @@ from sfgs_jax.slam.config import OptimisationConfig as OptimisationConfig
 from sfgs_jax.slam.config import SeedingConfig as SeedingConfig
 from sfgs_jax.slam.config import SlamConfig as SlamConfig
 from sfgs_jax.slam.config import TrackingConfig as TrackingConfig
+from sfgs_jax.slam.frontend import TrackedSequence as TrackedSequence
 from sfgs_jax.slam.frontend import TrackInfo as TrackInfo
 from sfgs_jax.slam.frontend import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend import init_tracker as init_tracker
 from sfgs_jax.slam.frontend import observe as observe
 from sfgs_jax.slam.frontend import register as register
 from sfgs_jax.slam.frontend import track as track
+from sfgs_jax.slam.frontend import track_sequence as track_sequence
 from sfgs_jax.slam.frontend import tracker_params as tracker_params
 from sfgs_jax.slam.keyframes import Adjusted as Adjusted
 from sfgs_jax.slam.keyframes import Window as Window

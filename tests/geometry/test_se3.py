@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import (
@@ -62,6 +63,25 @@ def test_perturbation_at_zero_has_the_generators_as_derivative():
     jacobian = jax.jacobian(lambda d: se3.transform(se3.exp(d), point))(jnp.zeros(6))
     np.testing.assert_allclose(jacobian[:, :3], np.eye(3), atol=1e-6)
     np.testing.assert_allclose(jacobian[:, 3:], [[0, 3, -2], [-3, 0, 1], [2, -1, 0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 0.09, 0.11, 3.0])
+def test_exponential_and_matrix_are_those_of_the_host_at_every_angle(float64, key, angle):
+    moved, axis = jax.random.normal(key, (2, 3))
+    tangent = jnp.concatenate([moved, angle * axis / jnp.linalg.norm(axis)])
+    generator = np.zeros((4, 4))
+    generator[:3, :3] = np.cross(np.eye(3), tangent[3:])
+    generator[:3, 3] = moved
+    np.testing.assert_allclose(se3.matrix(se3.exp(tangent)), scipy.linalg.expm(generator), atol=1e-13)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 0.09, 0.11, 3.0])
+def test_the_exponentials_derivative_is_the_slope(float64, key, angle):
+    moved, axis, *along = jax.random.normal(key, (4, 3))
+    tangent, along = jnp.concatenate([moved, angle * axis / jnp.linalg.norm(axis)]), jnp.concatenate(along)
+    _, rate = jax.jvp(lambda x: se3.exp(x).wxyz_xyz, (tangent,), (along,))
+    ends = [se3.exp(tangent + sign * 1e-6 * along).wxyz_xyz for sign in (1, -1)]
+    np.testing.assert_allclose(rate, (ends[0] - ends[1]) / 2e-6, atol=1e-8)
 
 
 def test_matrices_on_host_and_device_agree(key):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from sfgs_jax import Camera
+from sfgs_jax.geometry import se3
 
 CORNER = [([0, 0, -1.0], -3.0), ([-1.0, 0, 0], -1.2), ([0, -1.0, 0], -0.9)]  # n . X = d: a room's corner
 SPHERES = [([-0.5, 0.1, 2.2], 0.5), ([0.5, -0.4, 1.8], 0.3)]
@@ -32,5 +33,6 @@ def cast(camera: Camera, T_world_cam=None, planes=CORNER, spheres=SPHERES) -> np
 def motion_error(found: np.ndarray, known: np.ndarray) -> tuple[float, float]:
     """Translation in metres and rotation in degrees between two 4 x 4 motions."""
     difference = np.linalg.inv(known) @ found
-    cosine = np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)
-    return float(np.linalg.norm(difference[:3, 3])), float(np.degrees(np.arccos(cosine)))
+    # The arc cosine of the trace would turn rounding into hundredths of a degree.
+    angle = np.linalg.norm(se3.logs_of(difference[None])[0, 3:])
+    return float(np.linalg.norm(difference[:3, 3])), float(np.degrees(angle))

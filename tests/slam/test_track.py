@@ -1,4 +1,4 @@
-"""track as a pure function: scanned, batched, differentiated; counters and time in the tracker."""
+"""track as a pure function: scanned and batched; counters and time in the tracker."""
 
 import equinox as eqx
 import jax
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax import slam
+from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam import PoseSource
 from sfgs_jax.superfeats import mean_grey
@@ -40,19 +41,11 @@ def called(params, sequence):
     return np.stack(poses), keyframes
 
 
-def scanned(params, sequence):
-    def body(tracker, frame):
-        tracker, info = slam.track(params, tracker, *frame)
-        return tracker, (info.T_world_cam.wxyz_xyz, info.new_keyframe)
-
-    return jax.lax.scan(body, slam.init_tracker(params), sequence)[1]
-
-
 def test_a_scan_gives_the_poses_of_single_calls(params, sequence, called, room):
     poses, keyframes = called
-    found, taken = jax.jit(scanned)(params, sequence)
-    np.testing.assert_allclose(found, poses, atol=2e-5)
-    assert list(taken) == keyframes
+    _, found = slam.track_sequence(params, slam.init_tracker(params), *sequence)
+    np.testing.assert_allclose(found.T_world_cam.wxyz_xyz, poses, atol=2e-5)
+    assert list(found.new_keyframe) == keyframes
     assert sum(keyframes) > 1
     truth = np.linalg.inv(room.ground_truth.poses[0]) @ room.ground_truth.poses
     np.testing.assert_allclose(poses[11, 4:], truth[11, :3, 3], atol=0.03)
@@ -81,30 +74,10 @@ def test_a_batch_of_recordings_is_tracked_at_once(params, sequence, called):
     np.testing.assert_allclose(info.T_world_cam.wxyz_xyz[1, 4:], expected[:3, 3], atol=0.02)
 
 
-def test_the_pose_has_gradients_to_images_depth_and_camera(params, sequence):
-    grey, depth, _ = sequence
-    tracker, _ = slam.track(params, slam.init_tracker(params), grey[0], depth[0], SECONDS)
-
-    # Values and gradients by one program: another for the values alone would have to be compiled.
-    @eqx.filter_jit
-    @eqx.filter_value_and_grad
-    def forward(inputs):
-        """The camera's way along its first viewing direction."""
-        params, image, depth = inputs
-        _, info = slam.track(params, tracker, image, depth, SECONDS)
-        return info.T_world_cam.wxyz_xyz[6]
-
-    _, (by_params, by_image, by_depth) = forward((params, grey[3], depth[3]))
-    for part in (by_params.camera.fx, by_image, by_depth, by_params.network):
-        leaves = [x for x in jax.tree.leaves(part) if eqx.is_inexact_array(x)]
-        assert all(np.all(np.isfinite(x)) for x in leaves)
-    assert np.any(by_depth)
-    assert np.any(by_params.camera.fx)
-    # Against a finite difference: all depths scaled, which the surface alone follows.
-    step = 5e-3
-    values = [forward((params, grey[3], depth[3] * (1 + sign * step)))[0] for sign in (1, -1)]
-    along = np.vdot(by_depth, depth[3])
-    np.testing.assert_allclose(along, (values[0] - values[1]) / (2 * step), rtol=0.02)
+def test_a_sequence_has_a_depth_and_a_time_for_each_image(params, sequence):
+    grey, depth, elapsed = sequence
+    with pytest.raises(InputError, match="3 images, 2 depths and 3 times"):
+        slam.track_sequence(params, slam.init_tracker(params), grey[:3], depth[:2], elapsed[:3])
 
 
 def test_one_program_serves_every_frame(params, sequence, compilations):

@@ -31,3 +31,5 @@ from sfgs_jax.slam.frontend._track import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend._track import init_tracker as init_tracker
 from sfgs_jax.slam.frontend._track import needs_keyframe as needs_keyframe
 from sfgs_jax.slam.frontend._track import track as track
+from sfgs_jax.slam.frontend._track_sequence import TrackedSequence as TrackedSequence
+from sfgs_jax.slam.frontend._track_sequence import track_sequence as track_sequence

@@ -100,8 +100,9 @@ class Tracker(eqx.Module):
         known = (self.motion_seconds > 0) & (self.since_tracked > 0)
         ratio = jnp.where(known, self.since_tracked / jnp.where(known, self.motion_seconds, 1), 1)
         scaled = se3.exp(ratio * se3.log(self.T_previous_current))
-        # Steady frames keep the motion to the bit.
-        return jaxlie.SE3(jnp.where(ratio == 1, self.T_previous_current.wxyz_xyz, scaled.wxyz_xyz))
+        # Steady frames keep the motion to the bit, and have the derivative of the others.
+        same, moving = lax.stop_gradient((self.T_previous_current.wxyz_xyz, scaled.wxyz_xyz))
+        return jaxlie.SE3(jnp.where(ratio == 1, same + (scaled.wxyz_xyz - moving), scaled.wxyz_xyz))
 
 
 @partial(jax.jit, inline=True)

@@ -1,0 +1,54 @@
+"""Self-calibration in miniature: the descent finds what the camera's calibration has wrong."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.calibration_model import step
+from experiments.self_calibration import clip_of, errors, scene_of, truth_of, twists, wrong
+from sfgs_jax.datasets import KinectFaults, SyntheticRecording
+from sfgs_jax.geometry import se3
+
+FAULTS = KinectFaults(depth_delay=0.015, extrinsic_shift=0.01, extrinsic_turn=0.01)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return SyntheticRecording(num_frames=48, width=96, height=72, faults=FAULTS)
+
+
+@pytest.fixture(scope="module")
+def posed(recording):
+    """A clip, its scene with the motion of its views, and their poses."""
+    clip = clip_of(recording, 0, 26, 96)
+    scene = scene_of(clip, keypoints=128)
+    poses = recording.ground_truth.poses[: len(clip.rgb)]
+    views = scene.views
+    views = type(views)(
+        views.planes, views.valid, views.keypoints, jnp.asarray(twists(poses, clip.elapsed)[scene.frames])
+    )
+    return clip, scene, views, jnp.asarray(se3.parameters_of(poses[scene.frames]), jnp.float32)
+
+
+def test_the_start_is_as_wrong_as_it_says(recording, rng):
+    truth = truth_of(recording)
+    off = errors(wrong(rng, truth), truth)
+    np.testing.assert_allclose(off, [5, 5, 20, 2, 20, 0, 0], rtol=1e-3, atol=1e-3)
+    assert not np.any(errors(truth, truth))
+
+
+def test_the_descent_finds_focal_lengths_delay_and_extrinsic(recording, posed, rng):
+    clip, scene, views, poses = posed
+    truth = truth_of(recording)
+    calibration = start = wrong(rng, truth)
+    # The experiment mixes indices and lanes freely, which the tests' strict promotion refuses.
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        for width in (8, 8, 3, 3, 2, 2, 2, 2):
+            after = step(clip.camera, calibration, start, poses, views, scene.pairs, jnp.float32(width))
+            calibration, poses = after.calibration, after.poses
+    focal_x, focal_y, _, turn, delay, *_ = errors(calibration, truth)
+    # From 5 % and 5 %, 2 degrees and 20 ms.
+    assert max(focal_x, focal_y) < 1.5
+    assert turn < 1
+    assert delay < 2
