@@ -1,8 +1,9 @@
 """Crashes of a small run: each leaves the state before or after it, and the run ends in the same files.
 
-`python -m experiments.crash --kills 200` runs all three parts and exits with 1 if one of them finds a defect:
+`python -m experiments.crash --kills 200` runs all parts and exits with 1 if one of them finds a defect:
 
 - every call of `open`, `write`, `fsync` and `replace` that saving makes fails, once and from then on;
+- the power is lost at every change of the disk, and with it whatever was not forced there;
 - every file of a saved state is cut at every 4 KiB, and bits of it are flipped;
 - runs are killed at random instants of their CPU time, and taken up again until they end.
 """
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -23,6 +24,7 @@ import jax
 import numpy as np
 
 from experiments.crash_faults import CALLS, Faults
+from experiments.crash_power_loss import RecordedDisk
 from sfgs_jax import slam
 from sfgs_jax.arrays import InputError, enable_cache
 from sfgs_jax.datasets import SyntheticRecording
@@ -47,13 +49,16 @@ def same_state(a: slam.Run, b: slam.Run) -> bool:
     )
 
 
-def failing_saves(before: slam.Run, after: slam.Run, folder: Path) -> Iterator[tuple[str, str]]:
+def failing_saves(
+    before: slam.Run, after: slam.Run, folder: Path, *, every: int = 1
+) -> Iterator[tuple[str, str]]:
     """Outcomes of saving `after` over `before` while the n-th call of a kind fails, for every n.
 
     Args:
         before: the run that is on disk.
         after: the run that is saved.
         folder: for the states.
+        every: difference between one n and the next.
 
     Yields:
         What failed, and "before" or "after" for the state that is on disk then; anything else is a defect.
@@ -74,7 +79,7 @@ def failing_saves(before: slam.Run, after: slam.Run, folder: Path) -> Iterator[t
                     yield what, told or _state_of(place, before, after)
                     slam.save_run(after, place)
                     yield f"{what}, saved again", _state_of(place, before, after)
-                n += 1
+                n += every
 
 
 def _failure(save: Callable[[], None]) -> str:
@@ -96,6 +101,58 @@ def _state_of(folder: Path, before: slam.Run, after: slam.Run) -> str:
     if same_state(found, after):
         return "after"
     return "before" if same_state(found, before) else "between"
+
+
+def lost_writes(
+    runs: Sequence[slam.Run], folder: Path, *, seed: int, count: int
+) -> Iterator[tuple[str, str]]:
+    """Outcomes of a loss of power at every change of the disk, while runs are saved one after the other.
+
+    Args:
+        runs: points of one run, in their order.
+        folder: for the states.
+        seed: of the choices of what is lost.
+        count: of these choices at each change, besides three that are always made.
+
+    Yields:
+        The change, and "before" or "after" for the state that is found, or "saved" for the newest that a save
+        has ended with. Anything else is a defect.
+    """
+    place, after_loss, ends = folder / "recorded", folder / "found", [0]
+    place.mkdir()
+    with RecordedDisk(place) as disk:
+        for run in runs:
+            slam.save_run(run, place / slam.STORAGE)
+            ends.append(len(disk))
+    random, known = Random(seed), dict[frozenset, int]()
+    for at in range(ends[-1] + 1):
+        done = sum(end <= at for end in ends) - 1
+        for files in disk.losses(at, random, count=count):
+            read = frozenset(item for item in files.items() if not item[0].name.startswith("."))
+            if read not in known:
+                _write(files, after_loss)
+                known[read] = _found(after_loss / slam.STORAGE, runs)
+            found = known[read]
+            names = {done: "saved" if at == ends[done] else "before", done + 1: "after"}
+            yield f"change {at} of {ends}", names.get(found, f"state {found}")
+
+
+def _found(storage: Path, runs: Sequence[slam.Run]) -> int:
+    """Number of the run that is on disk, 0 for none, -1 for damage; the newest can be saved there."""
+    try:
+        loaded = slam.load_run(storage, runs[0].config)
+        found = next((i for i, run in enumerate(runs, 1) if same_state(loaded, run)), -1)
+    except InputError as error:
+        found = 0 if "holds no checkpoint" in str(error) else -1
+    slam.save_run(runs[-1], storage)
+    return found if _state_of(storage, runs[0], runs[-1]) == "after" else -1
+
+
+def _write(files: dict[Path, bytes], folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    for path, content in files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_bytes(content)
 
 
 def damaged_states(
@@ -235,6 +292,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--flips", type=int, default=20, help="flipped bits in each file")
+    parser.add_argument("--losses", type=int, default=8, help="random losses at each change of the disk")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     enable_cache()
@@ -243,6 +301,8 @@ def main() -> int:
         folder = Path(name)
         damages = damaged_states(after, folder / "state", flips=options.flips, seed=options.seed)
         defects = _report("failing calls", failing_saves(before, after, folder), ("before", "after"))
+        power = lost_writes((before, after), folder, seed=options.seed, count=options.losses)
+        defects += _report("losses of power", power, ("before", "after", "saved"))
         defects += _report("damaged files", damages, ("refused",))
         if options.kills:
             runs = killed_runs(options.kills, folder, options.seed)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8, UInt16
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, put_in_place
 
 VIDEO_SUFFIX = ".mp4"
 """Ending of the videos that can be written."""
@@ -71,8 +71,7 @@ class VideoFile:
         if self._part is None:
             return
         if kind is None and self._writer is not None:
-            os.chmod(self._part, 0o644)
-            os.replace(self._part, self._path)
+            put_in_place(self._part, self._path)
         else:
             self._part.unlink()
 

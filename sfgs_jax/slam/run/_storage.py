@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, make_folder
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
@@ -52,7 +52,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         OSError: a file can't be written.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for i, keyframe in enumerate(state.graph.keyframes):
         _write_once(_keyframe_file(folder, i, keyframe), keyframe.features)
     for i, view in enumerate(state.mapping.views):
@@ -175,7 +175,7 @@ def _image_file(folder: Path, kind: str, number: int) -> Path:
 
 def _write_once(path: Path, images: Any) -> None:
     if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         write_tensors(path, _named(images), {"name": path.name})
 
 
