@@ -151,6 +151,26 @@ def spill_views(mapping: MapState, folder: Path, kept: int) -> MapState:
     return replace(mapping, views=tuple(views))
 
 
+def remove_other_images(state: SlamState, folder: Path) -> None:
+    """Remove the images of keyframes and views that a state does not have.
+
+    A run that was killed has left those that are newer than its checkpoint. They may be damaged, and would be
+    taken for the images of the keyframes and views to come.
+
+    Args:
+        state: the state that its run goes on from.
+        folder: its images; one that is not there holds none.
+
+    Raises:
+        OSError: a file can't be removed.
+    """
+    known = {_keyframe_file(folder, i, keyframe) for i, keyframe in enumerate(state.graph.keyframes)}
+    known |= {_image_file(folder, "view", i) for i in range(len(state.mapping.views))}
+    for kind in ("keyframe", "view"):
+        for path in set(folder.glob(f"{kind}-*.safetensors")) - known:
+            path.unlink()
+
+
 def _images(view: View) -> tuple[Any, Any, Any]:
     return view.rgb, view.depth, view.valid
 
