@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from experiments.crash import damaged_states, failing_saves, lost_writes
+from experiments.crash_states import damaged_states, failing_saves, lost_writes
 from sfgs_jax import slam
 
 
