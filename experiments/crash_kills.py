@@ -9,12 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 
+from experiments.crash_outputs import other_files
 from sfgs_jax import slam
 from sfgs_jax.slam.run import STATE_FILE
 
-_OF_TIME = {"metrics.json", "report.html", "run.log"}
-SAME_FILES = tuple(sorted({*slam.OUTPUT_FILES, slam.GROUND_TRUTH_FILE} - _OF_TIME - {"sensors.json"}))
-"""Outputs that do not depend on the time and the place of a run."""
 _SOURCE = "synthetic:frames=48,width=80,height=60"
 _SETTINGS = (
     "--mapping.capacity=8192", "--mapping.pair-capacity=32768", "--mapping.final-steps=40",
@@ -78,7 +76,7 @@ def killed_runs(kills: int, folder: Path, seed: int) -> Iterator[tuple[list[str]
                 break
         else:
             status, _ = _command(out, trace, *words)
-        different = [name for name in SAME_FILES if not _equal(out / name, whole / name)]
+        different = other_files(out, whole)
         same = not different and _is_whole(out) and not any((out / slam.STORAGE).glob("*"))
         yield stages, "same files" if same else f"status {status}, other {different}"
 
@@ -92,10 +90,6 @@ def _stage(trace: str) -> str:
 
 def _is_whole(out: Path) -> bool:
     return (out / "report.html").exists()
-
-
-def _equal(a: Path, b: Path) -> bool:
-    return a.exists() and a.read_bytes() == b.read_bytes()
 
 
 def _command(out: Path, trace: Path, *words: str, cpu_s: float = 0.0) -> tuple[int, float]:

@@ -1,4 +1,4 @@
-"""Saving that fails or loses power, and states that are damaged: the one before or after is found, or none."""
+"""Saving that fails, or damage to what was saved: the state before or after is found, or none."""
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence

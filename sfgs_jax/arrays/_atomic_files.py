@@ -37,8 +37,7 @@ def write_atomically(path: Path | str, content: bytes | str) -> None:
             raise
     except OSError as error:
         # Nobody knows the temporary file by its name.
-        error.filename, error.filename2 = str(path), None
-        raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def put_in_place(temporary: Path, path: Path) -> None:
