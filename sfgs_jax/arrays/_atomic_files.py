@@ -72,17 +72,18 @@ def sync_folder(folder: Path) -> None:
             raise
 
 
-def make_folder(folder: Path) -> None:
+def make_folder(folder: Path, *, private: bool = False) -> None:
     """Make a folder, and those that it lies in, so that a loss of power does not take them away.
 
     Args:
         folder: may be there already.
+        private: nobody else may look into it (mode 0700) if it is made.
 
     Raises:
         OSError: it can't be made.
     """
     missing = [each for each in (folder, *folder.parents) if not each.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700 if private else 0o777, parents=True, exist_ok=True)
     for each in missing:
         sync_folder(each.parent)
 

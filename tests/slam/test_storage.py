@@ -1,5 +1,6 @@
 """States on disk: what is loaded is what was saved, and old images leave memory."""
 
+import os
 from dataclasses import replace
 
 import jax
@@ -200,3 +201,12 @@ def test_a_run_that_is_taken_up_again_clears_up(tmp_path):
     assert slam.resume_folder(tmp_path) == tmp_path / "state"
     assert not any((tmp_path / name).exists() for name in left)
     assert all((tmp_path / name).exists() for name in others)
+
+
+def test_only_the_user_may_look_into_a_state(room, frames, busy, tmp_path):
+    umask = os.umask(0)
+    try:
+        slam.save(follow(slam.init(room.camera, busy), frames[:1]), tmp_path / "out" / "state")
+    finally:
+        os.umask(umask)
+    assert (tmp_path / "out" / "state").stat().st_mode & 0o777 == 0o700

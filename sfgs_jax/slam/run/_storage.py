@@ -52,7 +52,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         OSError: a file can't be written.
     """
     folder = Path(folder)
-    make_folder(folder)
+    make_folder(folder, private=True)
     for i, keyframe in enumerate(state.graph.keyframes):
         _write_once(_keyframe_file(folder, i, keyframe), keyframe.features)
     for i, view in enumerate(state.mapping.views):
@@ -195,7 +195,7 @@ def _image_file(folder: Path, kind: str, number: int) -> Path:
 
 def _write_once(path: Path, images: Any) -> None:
     if not path.exists():
-        make_folder(path.parent)
+        make_folder(path.parent, private=True)
         write_tensors(path, _named(images), {"name": path.name})
 
 
