@@ -10,6 +10,9 @@ from typing import Any
 
 from sfgs_jax.arrays import FrameError, InputError, excerpt
 
+_LONGEST_NAME = 255
+"""Characters of a topic's name."""
+
 
 class Bag:
     """Messages of a bag by topic and time.
@@ -18,7 +21,8 @@ class Bag:
 
     Attributes:
         path: a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.
-        topics: type of the messages by topic, such as `sensor_msgs/msg/Image`.
+        topics: type of the messages by topic, such as `sensor_msgs/msg/Image`. Names longer than ROS allows
+            are left out.
     """
 
     def __init__(self, path: Path) -> None:
@@ -36,7 +40,11 @@ class Bag:
         except ImportError as error:
             raise InputError(f"{path} is a bag of ROS; pip install 'sfgs-jax[rosbag]' to read it.") from error
         try:
-            self.topics = {connection.topic: connection.msgtype for connection in self._reader().connections}
+            self.topics = {
+                connection.topic: connection.msgtype
+                for connection in self._reader().connections
+                if len(connection.topic) <= _LONGEST_NAME
+            }
         except Exception as error:  # the package raises errors of many kinds at damaged files
             raise InputError(f"{path} cannot be read as a bag: {excerpt(error)}.") from error
 
