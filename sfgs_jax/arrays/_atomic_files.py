@@ -14,10 +14,15 @@ _NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.EACCES)
 """Errors of file systems that can't force a folder to the disk, and of folders that can't be read."""
 
 
-def write_atomically(path: Path | str, content: bytes | str) -> None:
+def write_atomically(path: Path | str, content: bytes | str, *, sync_name: bool = True) -> None:
     """Write `content` so that `path` never holds half of it, whatever interrupts.
 
     The content goes to a temporary file in the same folder, which then replaces `path`.
+
+    Args:
+        path: of the file.
+        content: bytes, or text in UTF-8.
+        sync_name: force the name to the disk too. Otherwise `sync_folder` does it for many files at once.
 
     Raises:
         OSError: the folder can't be written, or the disk is full; `path` is as it was, or whole. The error
@@ -30,7 +35,7 @@ def write_atomically(path: Path | str, content: bytes | str) -> None:
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
-            put_in_place(Path(name), path)
+            put_in_place(Path(name), path, sync_name=sync_name)
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(name)
@@ -40,12 +45,13 @@ def write_atomically(path: Path | str, content: bytes | str) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def put_in_place(temporary: Path, path: Path) -> None:
+def put_in_place(temporary: Path, path: Path, *, sync_name: bool = True) -> None:
     """Let a finished temporary file replace `path`; both are forced to the disk, file first, name last.
 
     Args:
         temporary: the file, in the same folder.
         path: its name from now on; readable for all.
+        sync_name: as in `write_atomically`.
 
     Raises:
         OSError: it can't be forced to the disk or renamed.
@@ -53,7 +59,8 @@ def put_in_place(temporary: Path, path: Path) -> None:
     os.chmod(temporary, 0o644)
     _sync(temporary, os.O_RDONLY)
     os.replace(temporary, path)
-    sync_folder(path.parent)
+    if sync_name:
+        sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:

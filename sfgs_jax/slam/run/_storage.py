@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.arrays import InputError, make_folder
+from sfgs_jax.arrays import InputError, make_folder, sync_folder
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
@@ -57,6 +57,8 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         _write_once(_keyframe_file(folder, i, keyframe), keyframe.features)
     for i, view in enumerate(state.mapping.views):
         _write_once(_image_file(folder, "view", i), _images(view))
+    # The images have their names before the state that names them.
+    sync_folder(folder)
     counts = {
         "keyframes": len(state.graph.keyframes),
         "edges": len(state.graph.edges),
@@ -196,7 +198,7 @@ def _image_file(folder: Path, kind: str, number: int) -> Path:
 def _write_once(path: Path, images: Any) -> None:
     if not path.exists():
         make_folder(path.parent, private=True)
-        write_tensors(path, _named(images), {"name": path.name})
+        write_tensors(path, _named(images), {"name": path.name}, sync_name=False)
 
 
 def _read_images(path: Path, like: _T) -> _T:
