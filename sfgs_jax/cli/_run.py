@@ -301,14 +301,8 @@ def _run(
         return _INTERRUPTED
     if not len(result.trajectory):
         raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")
-    if options.evaluate:
-        try:
-            evaluate_folder(written, recording, quiet=options.quiet)
-        except OSError as error:
-            logger.error(
-                "the evaluation could not be written (%s): `sfgs-jax eval %s` does it again", error, written
-            )
-            return 1
+    if options.evaluate and not _evaluated(written, recording, quiet=options.quiet):
+        return 1
     if written == folder:
         remove_storage(folder)
     metrics = json.loads((written / "metrics.json").read_text())
@@ -331,6 +325,18 @@ def _begin_log(recording: Recording, resumed: Run | None) -> None:
     logger.info("%s: %d frames of %dx%d", recording.name, len(recording), *recording.camera.shape[::-1])
     if resumed is not None:
         logger.info("going on after frame %d", resumed.num_frames - 1)
+
+
+def _evaluated(written: Path, recording: Recording, *, quiet: bool) -> bool:
+    """Evaluate the results. False, with the reason in the log, if that could not be written."""
+    try:
+        evaluate_folder(written, recording, quiet=quiet)
+    except OSError as error:
+        logger.error(
+            "the evaluation could not be written (%s): `sfgs-jax eval %s` does it again", error, written
+        )
+        return False
+    return True
 
 
 def _say_interrupted(result: Run, written: Path, *, can_resume: bool, moved: bool) -> None:
