@@ -1,204 +1,38 @@
 """Crashes of a small run: each leaves the state before or after it, and the run ends in the same files.
 
-`python -m experiments.crash --kills 200` runs all three parts and exits with 1 if one of them finds a defect:
+The command `python -m experiments.crash --kills 200` runs all parts. It exits with 1 if one finds a defect.
 
-- every call of `open`, `write`, `fsync` and `replace` that saving makes fails, once and from then on;
-- every file of a saved state is cut at every 4 KiB, and bits of it are flipped;
-- runs are killed at random instants of their CPU time, and taken up again until they end.
+- Every call of `open`, `write`, `fsync` and `replace` that saving makes fails, once and from then on.
+- The power is lost at every change of the disk, and with it whatever was not forced there.
+- Every file of a saved state is cut at every 4 KiB, and bits of it are flipped.
+- The n-th of these calls fails while the outputs are written, and while a whole run goes on.
+- Runs are killed at random instants of their CPU time, and taken up again until they end.
 """
 
 import argparse
-import resource
-import shutil
-import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from random import Random
 
-import jax
-import numpy as np
-
-from experiments.crash_faults import CALLS, Faults
+from experiments.crash_faults import CALLS
+from experiments.crash_kills import killed_runs
+from experiments.crash_outputs import failing_outputs, stopped_run
+from experiments.crash_states import damaged_states, failing_saves, lost_writes
 from sfgs_jax import slam
-from sfgs_jax.arrays import InputError, enable_cache
+from sfgs_jax.arrays import enable_cache
+from sfgs_jax.cli import main as command
 from sfgs_jax.datasets import SyntheticRecording
 
-SAME_FILES = ("trajectory.txt", "trajectory_covariance.txt", "keyframes.txt", "map.ply", "config.json")
-_PAGE = 4096
-_SOURCE = "synthetic:frames=12,width=80,height=60"
-_SETTINGS = (
-    "--mapping.capacity=8192", "--mapping.pair-capacity=32768", "--mapping.final-steps=12",
-    "--mapping.views-in-memory=1", "--tracking.gicp.levels=1", "--checkpoint-interval=3", "--quiet",
+_PARTS = ("calls", "power", "damage", "outputs", "kills")
+_ARGUMENTS = (
+    "synthetic:frames=6,width=80,height=60", "--mapping.capacity=8192", "--mapping.pair-capacity=32768",
+    "--mapping.final-steps=3", "--mapping.views-in-memory=1", "--tracking.gicp.levels=1",
+    "--checkpoint-interval=3", "--quiet",
 )  # fmt: skip
-
-
-def same_state(a: slam.Run, b: slam.Run) -> bool:
-    """True if two runs are at the same point with the same numbers, to the bit."""
-    left, right = jax.tree.leaves(a.state), jax.tree.leaves(b.state)
-    counts = [(r.num_frames, r.num_skipped, r.num_refined, r.is_finished) for r in (a, b)]
-    return (
-        counts[0] == counts[1]
-        and len(left) == len(right)
-        and all(np.array_equal(x, y) for x, y in zip(left, right, strict=True))
-    )
-
-
-def failing_saves(before: slam.Run, after: slam.Run, folder: Path) -> Iterator[tuple[str, str]]:
-    """Outcomes of saving `after` over `before` while the n-th call of a kind fails, for every n.
-
-    Args:
-        before: the run that is on disk.
-        after: the run that is saved.
-        folder: for the states.
-
-    Yields:
-        What failed, and "before" or "after" for the state that is on disk then; anything else is a defect.
-    """
-    slam.save_run(before, folder / "before")
-    for call in CALLS:
-        for for_ever in (False, True):
-            n, failed = 1, True
-            while failed:
-                place = folder / "now"
-                shutil.rmtree(place, ignore_errors=True)
-                shutil.copytree(folder / "before", place)
-                with Faults(call, n, for_ever=for_ever) as faults:
-                    told = _failure(lambda: slam.save_run(after, place))  # noqa: B023
-                failed = faults.failed
-                if failed:
-                    what = f"{call} {n}{' and later' if for_ever else ''}"
-                    yield what, told or _state_of(place, before, after)
-                    slam.save_run(after, place)
-                    yield f"{what}, saved again", _state_of(place, before, after)
-                n += 1
-
-
-def _failure(save: Callable[[], None]) -> str:
-    """The error of a save that is no OSError."""
-    try:
-        save()
-    except OSError:
-        return ""
-    except Exception as error:
-        return f"{type(error).__name__}: {error}"
-    return ""
-
-
-def _state_of(folder: Path, before: slam.Run, after: slam.Run) -> str:
-    try:
-        found = slam.load_run(folder, before.config)
-    except InputError as error:
-        return str(error)
-    if same_state(found, after):
-        return "after"
-    return "before" if same_state(found, before) else "between"
-
-
-def damaged_states(
-    run: slam.Run, folder: Path, *, flips: int, seed: int, every: int = _PAGE
-) -> Iterator[tuple[str, str]]:
-    """Outcomes of loading a state of which one file is cut off or has a flipped bit.
-
-    Args:
-        run: the run to save.
-        folder: for the state.
-        flips: flipped bits in each file.
-        seed: of the bits.
-        every: bytes between two places to cut at.
-
-    Yields:
-        The damage, and "refused" if it was refused in one sentence; anything else is a defect.
-    """
-    slam.save_run(run, folder)
-    random = Random(seed)
-    for path in sorted(folder.iterdir()):
-        content = path.read_bytes()
-        cuts = {f"{path.name} cut at {n}": content[:n] for n in range(0, len(content), every)}
-        bits = [random.randrange(8 * len(content)) for _ in range(flips)]
-        flipped = {f"{path.name} bit {bit}": _flipped(content, bit) for bit in bits}
-        for name, damaged in (cuts | flipped).items():
-            path.write_bytes(damaged)
-            yield name, _refusal(folder, run)
-        path.write_bytes(content)
-    yield "undamaged", "refused" if _state_of(folder, run, run) == "after" else "not loaded"
-
-
-def _flipped(content: bytes, bit: int) -> bytes:
-    changed = bytearray(content)
-    changed[bit // 8] ^= 1 << bit % 8
-    return bytes(changed)
-
-
-def _refusal(folder: Path, run: slam.Run) -> str:
-    try:
-        slam.load_run(folder, run.config)
-    except InputError as error:
-        return "refused" if "\n" not in str(error) else "many lines"
-    except Exception as error:
-        return f"{type(error).__name__}: {error}"
-    return "accepted"
-
-
-def killed_runs(kills: int, folder: Path, seed: int) -> Iterator[tuple[str, str]]:
-    """Outcomes of runs that are killed at random instants of CPU time, each taken up again until it ends.
-
-    Args:
-        kills: number of kills.
-        folder: for the runs.
-        seed: of the instants.
-
-    Yields:
-        The run, and "same files" if these are as without a kill; anything else is a defect.
-    """
-    random = Random(seed)
-    _command(folder / "whole")
-    _, seconds = _command(folder / "whole", "--overwrite")
-    done = 0
-    while done < kills:
-        out, words, before = folder / "killed", ["--overwrite"], done
-        while done < kills:
-            # Limits are of whole seconds, so the instant is set by a timer of CPU time in the child.
-            status, _ = _command(out, *words, cpu_s=random.uniform(0.05, 1.1) * seconds)
-            if status >= 0:
-                break
-            done += 1
-            words = ["--resume"] if (out / slam.STORAGE / "state.safetensors").exists() else ["--overwrite"]
-            if _is_whole(out) and words == ["--overwrite"]:
-                break
-        else:
-            status, _ = _command(out, *words)
-        different = [name for name in SAME_FILES if not _equal(out / name, folder / "whole" / name)]
-        same = "same files" if not different and _is_whole(out) else f"status {status}, other {different}"
-        yield f"run of {done - before} kills", same
-
-
-def _is_whole(out: Path) -> bool:
-    return (out / "report.html").exists()
-
-
-def _equal(a: Path, b: Path) -> bool:
-    return a.exists() and a.read_bytes() == b.read_bytes()
-
-
-def _command(out: Path, *words: str, cpu_s: float = 0.0) -> tuple[int, float]:
-    """Status and CPU seconds of `sfgs-jax run`, which is killed after `cpu_s` of them, if given."""
-    # Nobody handles the timer's signal, so it ends the process at once, within any instruction.
-    code = (
-        "import signal, sys; from sfgs_jax.cli import main; "
-        "signal.signal(signal.SIGPROF, signal.SIG_DFL); "
-        f"signal.setitimer(signal.ITIMER_PROF, {cpu_s}); sys.exit(main(sys.argv[1:]))"
-    )
-    start = resource.getrusage(resource.RUSAGE_CHILDREN)
-    arguments = ["run", _SOURCE, "--out", str(out), *_SETTINGS, *words]
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
-    end = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode > 0 or "Traceback" in done.stderr:
-        print(done.stderr[-2000:], file=sys.stderr)
-    return done.returncode, end.ru_utime + end.ru_stime - start.ru_utime - start.ru_stime
+"""A run with three steps of refinement."""
 
 
 def _two_points() -> tuple[slam.Run, slam.Run]:
@@ -219,35 +53,80 @@ def _two_points() -> tuple[slam.Run, slam.Run]:
     return before, slam.run(frames, recording.camera, config)
 
 
-def _report(title: str, outcomes: Iterator[tuple[str, str]], held: tuple[str, ...]) -> int:
+def _report(title: str, outcomes: Iterable[tuple[str, str]], held: tuple[str, ...]) -> int:
     """Print how often each outcome occurred and all defects; returns the number of defects."""
     counts: Counter[str] = Counter()
     for what, outcome in outcomes:
         counts[outcome if outcome in held else "defect"] += 1
         if outcome not in held:
-            print(f"{title}: {what}: {outcome}")
+            print(f"{title}: {what}: {outcome}", flush=True)
     print(f"{title}: {sum(counts.values())}, " + ", ".join(f"{n} {name}" for name, n in counts.items()))
     return counts["defect"]
+
+
+def _with_stages(runs: Iterable[tuple[list[str], str]]) -> Iterator[tuple[str, str]]:
+    """Outcomes of killed runs; prints each of them, and at the end the stages that the kills fell into."""
+    stages: Counter[str] = Counter()
+    for killed_in, outcome in runs:
+        stages.update(killed_in)
+        print(f"{sum(stages.values())} kills: {outcome} after {'; '.join(killed_in)}", flush=True)
+        yield "a run", outcome
+    print("killed in " + ", ".join(f"{stage} {n}" for stage, n in stages.most_common()))
 
 
 def main() -> int:
     """Run the experiment."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--parts", nargs="+", choices=_PARTS, default=_PARTS, help="what to do")
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--flips", type=int, default=20, help="flipped bits in each file")
+    parser.add_argument("--losses", type=int, default=8, help="random losses at each change of the disk")
+    parser.add_argument("--every", type=int, default=1, help="every n-th call that fails in the outputs")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     enable_cache()
-    before, after = _two_points()
+    defects = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        damages = damaged_states(after, folder / "state", flips=options.flips, seed=options.seed)
-        defects = _report("failing calls", failing_saves(before, after, folder), ("before", "after"))
-        defects += _report("damaged files", damages, ("refused",))
-        if options.kills:
-            runs = killed_runs(options.kills, folder, options.seed)
-            defects += _report(f"runs with {options.kills} kills in all", runs, ("same files",))
+        if set(options.parts) - {"outputs", "kills"}:
+            defects += _states(*_two_points(), folder, options)
+        if "outputs" in options.parts:
+            outcomes = _outputs(folder, options.every)
+            defects += _report("failing outputs", outcomes, ("same files", "not reached"))
+        if "kills" in options.parts:
+            runs = _with_stages(killed_runs(options.kills, folder, options.seed))
+            defects += _report("killed runs", runs, ("same files",))
     return 1 if defects else 0
+
+
+def _outputs(folder: Path, every: int) -> Iterator[tuple[str, str]]:
+    """A call that fails while outputs are written, and in a whole run."""
+    whole, stopped = folder / "whole", folder / "stopped"
+    stopped_run(_ARGUMENTS, stopped, step=3)
+    command(["run", *_ARGUMENTS, "--out", str(whole)])
+    for first in (stopped, None):
+        for call in CALLS:
+            for for_ever in (False, True):
+                n, outcome = 1, ""
+                while outcome != "not reached":
+                    case = (call, n, for_ever)
+                    ((what, outcome),) = failing_outputs(_ARGUMENTS, first, whole, folder / "again", [case])
+                    yield f"{what}, {'the outputs' if first else 'the whole run'}", outcome
+                    n += every
+
+
+def _states(before: slam.Run, after: slam.Run, folder: Path, options: argparse.Namespace) -> int:
+    """The parts that save states; returns the number of defects."""
+    defects = 0
+    if "calls" in options.parts:
+        defects += _report("failing calls", failing_saves(before, after, folder), ("before", "after"))
+    if "power" in options.parts:
+        power = lost_writes((before, after), folder, seed=options.seed, count=options.losses)
+        defects += _report("losses of power", power, ("before", "after", "saved"))
+    if "damage" in options.parts:
+        damages = damaged_states(after, folder / "state", flips=options.flips, seed=options.seed)
+        defects += _report("damaged files", damages, ("refused",))
+    return defects
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""Calls of the operating system that fail: the n-th of a kind, once or from then on."""
+"""Calls of the operating system that fail: the n-th of a kind, once or from then on, or all in a folder."""
 
 import errno
 import os
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 from unittest import mock
@@ -84,3 +85,36 @@ class _File:
         self._file.write(content[: len(content) // 2] if fails else content)
         if fails:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+class ReadOnly:
+    """While it is entered, nothing in a folder can be made, renamed or removed, as on a read-only disk.
+
+    Args:
+        folder: the folder; what is open for writing already can be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder.resolve()
+        self._patches = ExitStack()
+
+    def __enter__(self) -> "ReadOnly":
+        """Put the calls of the operating system behind those that fail."""
+        for name in ("open", "replace", "mkdir", "unlink"):
+            self._patches.enter_context(mock.patch.object(os, name, self._failing(getattr(os, name))))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Let the folder be written again."""
+        self._patches.close()
+
+    def _failing(self, function: Callable) -> Callable:
+        def call(path: Any, *words: Any, **options: Any) -> Any:
+            reads = function.__name__ == "open" and not words[0] & (os.O_CREAT | os.O_WRONLY | os.O_RDWR)
+            if not reads and self._folder in Path(os.path.abspath(path)).parents:
+                raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+            return function(path, *words, **options)
+
+        return call

@@ -4,18 +4,21 @@ import dataclasses
 import gzip
 import io
 import json
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.fuzz_captures import LZFSE, captures
 from sfgs_jax import factor_graph, gicp, sensors, slam, splatting, superfeats
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.cli import RunConfig, read_config, to_json
@@ -53,7 +56,22 @@ class Garbage(Exception):
 
 def formats() -> dict[str, Format]:
     """All formats by name."""
-    return {**_recordings(), **_single_files()}
+    return {**_recordings(), **_captures(), **_single_files()}
+
+
+def _captures() -> dict[str, Format]:
+    found = {}
+    for name, files in captures().items():
+        # A single file is opened itself, a bag of ROS 2 by its folder.
+        first = next(iter(files))
+        place = "" if len(files) > 1 and not name.startswith("ROS 2") else first.split("/")[0]
+        found[name] = Format(files, _targets(files), _of_file(place, _capture))
+    return found
+
+
+def _capture(path: Path) -> None:
+    with mock.patch.dict(sys.modules, liblzfse=LZFSE):
+        _recording(path)
 
 
 def judged(value: Any) -> Any:
@@ -232,7 +250,11 @@ def _recordings() -> dict[str, Format]:
 
 def _targets(files: Mapping[str, bytes]) -> tuple[str, ...]:
     """All small files, and the first image of each kind. Text has more to damage, so it counts twice."""
-    small = [name for name in files if name.endswith((".txt", ".json", ".csv", ".yaml", ".log", ".freiburg"))]
+    small = [
+        name
+        for name in files
+        if name.endswith((".txt", ".json", ".csv", ".yaml", ".log", ".freiburg", "metadata"))
+    ]
     images = {
         name.rpartition("/")[0] or name: name for name in sorted(files, reverse=True) if name not in small
     }

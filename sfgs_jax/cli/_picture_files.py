@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8, UInt16
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, put_in_place, write_atomically
 
 VIDEO_SUFFIX = ".mp4"
 """Ending of the videos that can be written."""
@@ -39,7 +39,7 @@ class PngFolder:
         path = self._folder / f"{self._count:06d}.png"
         self._count += 1
         _, data = cv2.imencode(".png", picture[..., ::-1] if picture.ndim == 3 else picture)
-        path.write_bytes(data.tobytes())
+        write_atomically(path, data.tobytes(), sync_name=False)
 
 
 class VideoFile:
@@ -71,8 +71,7 @@ class VideoFile:
         if self._part is None:
             return
         if kind is None and self._writer is not None:
-            os.chmod(self._part, 0o644)
-            os.replace(self._part, self._path)
+            put_in_place(self._part, self._path)
         else:
             self._part.unlink()
 

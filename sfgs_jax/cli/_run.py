@@ -4,14 +4,13 @@ import dataclasses
 import json
 import math
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
 import tyro
 
-from sfgs_jax.arrays import FrameError, InputError, check_counts, check_range, enable_cache, write_atomically
+from sfgs_jax.arrays import FrameError, InputError, check_counts, check_range, enable_cache
 from sfgs_jax.cli._ablations import Ablation, ablated
 from sfgs_jax.cli._configuration import RunConfig, read_config, to_json
 from sfgs_jax.cli._evaluate import evaluate_folder
@@ -19,14 +18,14 @@ from sfgs_jax.cli._live import keep_page, live_view
 from sfgs_jax.cli._log import logger, logging_to
 from sfgs_jax.cli._outcome import failure_of, scale_warning
 from sfgs_jax.cli._progress import reporting
+from sfgs_jax.cli._results import ResultFolder, kept_to_resume
 from sfgs_jax.cli._run_observer import RunObserver
 from sfgs_jax.cli._short_help import short_help
 from sfgs_jax.cli._summary import summary
 from sfgs_jax.datasets import LAYOUTS, ReaderOptions, Recording, open_recording, play, prefetch
-from sfgs_jax.geometry import Camera, Frame, format_tum
+from sfgs_jax.geometry import Camera, Frame
 from sfgs_jax.sensors import SensorModel, read_sensors
 from sfgs_jax.slam import (
-    GROUND_TRUTH_FILE,
     PRESETS,
     STORAGE,
     Run,
@@ -39,7 +38,6 @@ from sfgs_jax.slam import (
     remove_storage,
     resume_folder,
     run,
-    write_run,
 )
 
 if TYPE_CHECKING:
@@ -177,10 +175,9 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
             prepare_folder(folder, overwrite=options.overwrite)
         with logging_to(folder / "run.log"):
             resumed = _resumed(folder, config, recording.camera) if options.resume else None
-            write_atomically(folder / "config.json", to_json(config))
-            if recording.ground_truth is not None:
-                write_atomically(folder / GROUND_TRUTH_FILE, format_tum(recording.ground_truth))
-            what = (options, config, recording, folder, resumed, frames, known)
+            out = ResultFolder(folder, config, recording)
+            out.begin()
+            what = (options, out, resumed, frames, known)
             if not options.view:
                 return _run(*what, None)
             with live_view(recording, folder, host=options.view_host, port=options.view_port) as view:
@@ -255,15 +252,14 @@ def _resumed(folder: Path, config: RunConfig, camera: Camera) -> Run:
 
 def _run(
     options: RunOptions,
-    config: RunConfig,
-    recording: Recording,
-    folder: Path,
+    out: ResultFolder,
     resumed: Run | None,
     frames: FrameSource,
     sensors: SensorModel | None,
     view: "LiveView | None",
 ) -> int:
     """Run over the frames, write the results and evaluate them; returns the exit status."""
+    folder, recording = out.path, out.recording
     _begin_log(recording, resumed)
     failure: TooManySkipped | None = None
     first = resumed.num_frames if resumed else 0
@@ -272,6 +268,7 @@ def _run(
             report,
             recording,
             folder,
+            restore=out.restore,
             keep_state=not options.realtime,
             interval=options.checkpoint_interval,
         )
@@ -280,7 +277,7 @@ def _run(
             result = run(
                 frames(recording, first=first),
                 recording.camera,
-                config.slam,
+                out.config.slam,
                 observer=observer if view is None else combined(observer, view),
                 storage=folder / STORAGE,
                 resumed=resumed,
@@ -290,18 +287,22 @@ def _run(
         except TooManySkipped as error:
             failure, result = error, error.run
     kept = result.interrupted and not options.realtime and observer.keep(result)
-    written = _save(result, config, folder)
+    if dropped := result.state.mapping.dropped_seeds:
+        logger.warning("the map was full: %d Gaussians had no room (max_capacity)", dropped)
+    written = out.write(result)
     if view is not None:
         view.finish(result, f"Results: {written}")
     if failure is not None:
         logger.error("%s", failure)
     if result.interrupted:
-        _say_interrupted(result, written, can_resume=kept and written == folder)
+        if not options.realtime and not (kept and written == folder):
+            kept = kept_to_resume(result, written)
+        _say_interrupted(result, written, can_resume=kept, moved=written != folder)
         return _INTERRUPTED
     if not len(result.trajectory):
         raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")
-    if options.evaluate:
-        evaluate_folder(written, recording, quiet=options.quiet)
+    if options.evaluate and not _evaluated(written, recording, quiet=options.quiet):
+        return 1
     if written == folder:
         remove_storage(folder)
     metrics = json.loads((written / "metrics.json").read_text())
@@ -309,7 +310,7 @@ def _run(
         print(summary(metrics, written))
     if warning := scale_warning(result.trajectory, recording):
         logger.warning("%s", warning)
-    if problem := failure_of(metrics, config.source):
+    if problem := failure_of(metrics, out.config.source):
         logger.error("%s", problem)
     return 1 if failure is not None or problem is not None or written != folder else 0
 
@@ -326,27 +327,21 @@ def _begin_log(recording: Recording, resumed: Run | None) -> None:
         logger.info("going on after frame %d", resumed.num_frames - 1)
 
 
-def _save(result: Run, config: RunConfig, folder: Path) -> Path:
-    """Write the results; if the folder no longer takes them, write them where there is room.
-
-    Returns:
-        The folder that holds the results.
-    """
-    if dropped := result.state.mapping.dropped_seeds:
-        logger.warning("the map was full: %d Gaussians had no room (max_capacity)", dropped)
+def _evaluated(written: Path, recording: Recording, *, quiet: bool) -> bool:
+    """Evaluate the results. False, with the reason in the log, if that could not be written."""
     try:
-        write_run(result, folder)
-        return folder
+        evaluate_folder(written, recording, quiet=quiet)
     except OSError as error:
-        refuge = Path(tempfile.mkdtemp(prefix="sfgs-jax-"))
-        logger.error("%s could not be written (%s): the results are in %s", folder, error.strerror, refuge)
-        write_atomically(refuge / "config.json", to_json(config))
-        write_run(result, refuge)
-        return refuge
+        logger.error(
+            "the evaluation could not be written (%s): `sfgs-jax eval %s` does it again", error, written
+        )
+        return False
+    return True
 
 
-def _say_interrupted(result: Run, written: Path, *, can_resume: bool) -> None:
-    ending = ", and --resume goes on from there." if can_resume else "."
+def _say_interrupted(result: Run, written: Path, *, can_resume: bool, moved: bool) -> None:
+    words = f"--resume --out {written}" if moved else "--resume"
+    ending = f", and {words} goes on from there." if can_resume else "."
     print(
         f"Interrupted after {result.num_frames} frames; the results so far are in {written}{ending}",
         file=sys.stderr,

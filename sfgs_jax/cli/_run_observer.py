@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from sfgs_jax.arrays import InputError
@@ -24,16 +25,24 @@ class RunObserver:
         report: shows progress.
         recording: the recording of the run.
         folder: the run's folder.
+        restore: makes the folder again if it was removed; may raise OSError.
         keep_state: also keep the state that `--resume` needs.
         interval: frames, or steps of the refinement, between two checkpoints.
     """
 
     def __init__(
-        self, report: Reporter, recording: Recording, folder: Path, *, keep_state: bool, interval: int
+        self,
+        report: Reporter,
+        recording: Recording,
+        folder: Path,
+        *,
+        restore: Callable[[], None],
+        keep_state: bool,
+        interval: int,
     ) -> None:
         self._report, self._recording, self._folder = report, recording, folder
-        self._keep_state, self._interval = keep_state, interval
-        self._error = ""
+        self._restore, self._keep_state, self._interval = restore, keep_state, interval
+        self._error, self._failure = "", ""
         self._said_storage_failure = False
         self._start: tuple[int, float] | None = None
 
@@ -72,12 +81,17 @@ class RunObserver:
             Whether `--resume` can go on from here.
         """
         try:
+            self._restore()
             write_trajectories(run, self._folder)
             if self._keep_state:
                 save_run(run, self._folder / STORAGE)
         except OSError as error:
-            logger.warning("the results so far could not be written: %s", error)
+            # Said once while it lasts.
+            if str(error) != self._failure:
+                logger.warning("the results so far could not be written: %s", error)
+            self._failure = str(error)
             return False
+        self._failure = ""
         return self._keep_state
 
     def _log(self, progress: Progress) -> None:

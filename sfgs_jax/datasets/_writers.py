@@ -123,7 +123,7 @@ def _write_image(path: Path, image: Shaped[np.ndarray, "h w *channels"]) -> None
     ok, data = cv2.imencode(path.suffix, image, options)
     if not ok:
         raise InputError(f"Cannot encode {path}.")
-    path.write_bytes(data.tobytes())
+    write_atomically(path, data.tobytes(), sync_name=False)
 
 
 def _write_camera(camera: Camera, path: Path, layout: Layout) -> None:

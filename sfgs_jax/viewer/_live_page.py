@@ -5,6 +5,7 @@ import viser
 
 from sfgs_jax.viewer._live_plots import LivePlots
 from sfgs_jax.viewer._live_scene import LAYERS, LiveScene
+from sfgs_jax.viewer._plain_text import plain_text
 from sfgs_jax.viewer._run_control import RunControl
 
 _PANEL_WIDTH = 400
@@ -90,9 +91,9 @@ class LivePage:
         """Show a message below the bar.
 
         Args:
-            text: the message.
+            text: the message, no markdown.
         """
-        self._note.content, self._note.visible = text, True
+        self._note.content, self._note.visible = plain_text(text), True
 
     def end(self, headline: str) -> None:
         """Say that the run has ended; there is nothing left to control.

@@ -20,6 +20,7 @@ from sfgs_jax.viewer._frame_panel import FramePanel, view_camera
 from sfgs_jax.viewer._latest import Latest
 from sfgs_jax.viewer._modes import Look, Mode
 from sfgs_jax.viewer._painting import Painter
+from sfgs_jax.viewer._plain_text import plain_text
 from sfgs_jax.viewer._replay import Replay
 from sfgs_jax.viewer._splats import Splats
 from sfgs_jax.viewer._stage import Stage
@@ -277,7 +278,7 @@ class MapScene:
             {} if self._replay_controls is None else self._replay_controls.inputs
         )
         for note in notes:
-            gui.add_markdown(note)
+            gui.add_markdown(plain_text(note))
 
     def _look_chosen(self) -> None:
         """Draw what the controls say, once they rest."""

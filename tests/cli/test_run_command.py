@@ -1,18 +1,23 @@
 """`sfgs-jax run` as a user meets it: results, refusals, interruptions; nothing computed is lost."""
 
 import errno
+import inspect
 import json
 import os
 import re
 import shutil
 import signal
 import tempfile
+from contextlib import ExitStack
 from functools import partial
 
 import cv2
 import numpy as np
 import pytest
 
+from experiments.crash_faults import ReadOnly
+from experiments.crash_outputs import failing_outputs, other_files, stopped_run
+from sfgs_jax import slam
 from sfgs_jax.cli import COMMANDS, Command, RunObserver, main, run_command
 from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, open_recording, prefetch, write_recording
 from sfgs_jax.geometry import read_covariances, read_tum
@@ -73,6 +78,12 @@ def before_frame(number, action):
 
 def interrupt():
     raise KeyboardInterrupt
+
+
+@pytest.fixture
+def no_warm_up(monkeypatch):
+    """Programs are compiled when they are called first; here they are compiled already."""
+    monkeypatch.setattr(inspect.getmodule(slam.run), "warm_up", lambda camera, config: None)
 
 
 @pytest.fixture(scope="module")
@@ -257,6 +268,7 @@ def test_interruption_saves_what_there_is_and_exits_130(recording_folder, tmp_pa
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["frames"]["interrupted"] is True
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_a_run_that_was_stopped_goes_on_to_the_same_end(finished, recording_folder, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(recording_folder, out, frames=before_frame(6, interrupt)) == 130
@@ -287,6 +299,7 @@ def killed_at_step(monkeypatch, number):
     monkeypatch.setattr(RunObserver, "__call__", observe)
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_a_run_that_was_killed_in_its_refinement_goes_on_there(
     finished, recording_folder, tmp_path, monkeypatch
 ):
@@ -361,6 +374,67 @@ def test_a_folder_that_can_no_longer_be_written_costs_no_results(
     assert len(read_tum(results / "trajectory.txt")) == NUM_FRAMES
     assert np.sum(load_ply(results / "map.ply").valid) > 500
     assert json.loads((results / "config.json").read_text())["dataset"] == "folder"
+
+
+@pytest.fixture(scope="module")
+def stopped(recording_folder, tmp_path_factory):
+    """The output folder of a run that was killed right after its last step."""
+    out = tmp_path_factory.mktemp("runs") / "stopped"
+    stopped_run([str(recording_folder), *SMALL, "--checkpoint-interval", "3"], out, step=3)
+    return out
+
+
+@pytest.mark.usefixtures("no_warm_up")
+@pytest.mark.parametrize(
+    "case", [("write", 10, False), ("fsync", 9, True)], ids=["in the evaluation", "from the first file on"]
+)
+def test_outputs_that_cannot_be_written_cost_nothing(finished, stopped, recording_folder, tmp_path, case):
+    arguments = [str(recording_folder), *SMALL, "--checkpoint-interval", "3"]
+    (found,) = failing_outputs(arguments, stopped, finished, tmp_path / "again", [case])
+    assert found[1] == "same files", found
+
+
+@pytest.mark.usefixtures("no_warm_up")
+def test_a_folder_that_is_removed_in_mid_run_is_made_again(finished, recording_folder, tmp_path, capsys):
+    out = tmp_path / "runs" / "out"
+    frames = before_frame(5, lambda: shutil.rmtree(tmp_path / "runs"))
+    assert run(recording_folder, out, "--checkpoint-interval", "3", frames=frames) == 0
+    assert capsys.readouterr().err == (
+        f"WARNING: {out} was removed while the run went on: it has been made again\n"
+    )
+    assert other_files(out, finished) == []
+    assert {path.name for path in out.iterdir()} == WRITTEN
+    assert "was removed" in (out / "run.log").read_text()
+
+
+@pytest.mark.usefixtures("no_warm_up")
+def test_a_folder_that_becomes_read_only_in_mid_run_costs_nothing(
+    finished, recording_folder, tmp_path, monkeypatch, capsys
+):
+    out, refuge = tmp_path / "out", tmp_path / "refuge"
+    refuge.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(refuge))
+    with ExitStack() as stack:
+
+        def frames(recording, *, first):
+            for index, frame in prefetch(recording, first=first):
+                if index == 4:
+                    stack.enter_context(ReadOnly(out))
+                if index == 11:
+                    interrupt()
+                yield index, frame
+
+        options = ["--checkpoint-interval", "3", "--mapping.views-in-memory", "1"]
+        assert run(recording_folder, out, *options, frames=frames) == 130
+    told = capsys.readouterr().err.splitlines()
+    (results,) = refuge.iterdir()
+    kinds = ["WARNING", "WARNING", "ERROR", "Interrupted after 11 frames"]
+    assert [re.split("[:;]", line)[0] for line in told] == kinds
+    assert all("Read-only file system" in line for line in told[:3])
+    assert told[2].endswith(f"the results are in {results}")
+    assert told[3].endswith(f"--resume --out {results} goes on from there.")
+    assert run(recording_folder, results, "--resume", *options) == 0
+    assert other_files(results, finished) == ["config.json"]
 
 
 def test_a_run_that_loses_a_tenth_of_its_frames_is_no_success(copy, tmp_path, capsys):

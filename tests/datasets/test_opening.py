@@ -123,3 +123,13 @@ def test_rooms_of_impossible_size():
         SyntheticRecording(num_frames=0)
     with pytest.raises(InputError, match="16x16"):
         SyntheticRecording(width=8)
+    for source in (
+        "synthetic:width=100000,height=100000",
+        "synthetic:frames=9999999999",
+        "synthetic:seed=9999999999",
+    ):
+        with pytest.raises(InputError, match="of a synthetic recording is at most"):
+            open_recording(source)
+    with pytest.raises(InputError, match="is not understood at") as caught:
+        open_recording(f"synthetic:frames={'9' * 5000}")
+    assert len(str(caught.value)) < 400

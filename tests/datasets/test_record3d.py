@@ -130,7 +130,9 @@ def test_members_larger_than_images_are_not_read(write):
         ({"K": [1, 2]}, "does not describe a Record3D capture"),
         ({"w": None}, "does not describe a Record3D capture"),
         ({"poses": "none"}, "does not describe a Record3D capture"),
-        ({"w": 0}, "w, h and fps must be above 0"),
+        ({"w": 0}, "w and h must be from 1 to 16384"),
+        ({"w": 1e300}, "w and h must be from 1 to 16384"),
+        ({"fps": float("inf")}, "fps above 0"),
         ({"frameTimestamps": [1, 2, float("nan"), 4, 5]}, "frameTimestamps must be finite"),
         ({"frameTimestamps": [1, 2, 2, 4, 5]}, "time stamps in .*metadata do not increase"),
         ({"K": [float("nan")] * 9}, "focal lengths"),
@@ -170,3 +172,19 @@ def test_the_codec_itself(monkeypatch):
     assert decompress_lzfse(LZFSE_BLOCK, "block") == b"abc\0\0\0\0\0"
     with pytest.raises(FrameError, match="block is not compressed with LZFSE"):
         decompress_lzfse(b"nothing", "block")
+
+
+def test_an_archive_of_another_version_of_zip(write):
+    path = write()
+    content = path.read_bytes()
+    # The version that is needed to extract, in the last entry of the directory.
+    place = content.rfind(b"PK\x01\x02") + 6
+    path.write_bytes(content[:place] + b"\xff\x00" + content[place + 2 :])
+    with pytest.raises(InputError, match=r"cannot be read as an \.r3d archive: zip file version 25\.5"):
+        open_recording(path)
+
+
+def test_an_image_that_is_narrower_than_a_pixel(write):
+    one = {f"rgbd/{n}.depth": zlib.compress(bytes(4)) for n in range(5)}
+    with pytest.raises(InputError, match="are for 1x16384 images"):
+        open_recording(write({"w": 1, "h": 16384}, **one, **{f"rgbd/{n}.conf": None for n in range(5)}))

@@ -330,3 +330,11 @@ def test_without_the_package_one_sentence_says_how_to_get_it(tmp_path, monkeypat
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(InputError, match=r"pip install 'sfgs-jax\[rosbag\]'"):
         open_recording(tmp_path / "one.bag")
+
+
+def test_damage_to_a_topics_name_is_not_quoted_at_length(bag, messages, room, capture):
+    stream = _stream(messages, room, capture[:1])
+    damaged = [(topic.replace("color/image", f"color/{'x' * 300}"), *rest) for topic, *rest in stream]
+    with pytest.raises(InputError, match="has no topic of colour images") as caught:
+        bag(damaged)
+    assert len(str(caught.value)) < 400

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from experiments.crash_faults import Faults
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import (
     KinectFaults,
@@ -115,3 +116,11 @@ def test_options_override_scale_and_camera(room, tmp_path):
     recording = open_recording(tmp_path / "room", options=options)
     assert float(recording.camera.fy) == 71
     np.testing.assert_allclose(recording[1].depth, 2 * np.asarray(room[1].depth), atol=3e-4)
+
+
+def test_an_image_that_finds_no_room_is_not_left_in_part(room, tmp_path):
+    with Faults("write", 3, for_ever=True), pytest.raises(InputError, match="room: No space left"):
+        write_recording(room, tmp_path / "room", layout="folder")
+    images = [path.name for kind in ("rgb", "depth") for path in (tmp_path / "room" / kind).iterdir()]
+    # Both images of the first frame, and nothing of the second.
+    assert len(images) == 2

@@ -145,3 +145,27 @@ def test_pictures_are_small_and_show_missing_depth_black():
     picture = _decode(depth_picture(depth, 0.5, 2.0))
     assert picture[:, 40:].max() < 20
     assert picture[:, :24].max() > 150
+
+
+def test_names_from_outside_are_text_on_the_page(run):
+    folder, recording = run
+    evaluate_run(folder, recording)
+    word = "<script>alert('1')</script><img src=x onerror=alert(2)>"
+    metrics = json.loads((folder / "metrics.json").read_text())
+    stage = next(iter(metrics["stages"].values()))
+    metrics |= {
+        "stages": {word: stage},
+        "unavailable": {word: word},
+        "versions": {word: word},
+        "camera": {word: word},
+    }
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    (folder / "config.json").write_text(json.dumps({"source": word, word: {word: word}}))
+    hostile = dataclasses.replace(recording, name=word, dataset=word)
+    text = write_report(folder, hostile).read_text()
+    assert "<script" not in text
+    assert "<img src=x" not in text
+    page = _Page(text)
+    assert page.open == []
+    # Title, heading, layout, stage, reason and its name, versions, camera, configuration.
+    assert page.text.count(word) >= 12

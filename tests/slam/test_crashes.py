@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from experiments.crash import damaged_states, failing_saves
+from experiments.crash_states import damaged_states, failing_saves, lost_writes
 from sfgs_jax import slam
 
 
@@ -21,13 +21,13 @@ def two_points(room, frames, config):
 
 def test_a_call_that_fails_leaves_the_state_before_or_after(two_points, tmp_path):
     before, after = two_points
-    outcomes = list(failing_saves(before, after, tmp_path))
+    outcomes = list(failing_saves(before, after, tmp_path, every=3))
     counts = Counter(outcome for _, outcome in outcomes)
     assert set(counts) == {"before", "after"}, [
         each for each in outcomes if each[1] not in ("before", "after")
     ]
     # Each call fails once and for ever, and is followed by a save that succeeds.
-    assert len(outcomes) >= 2 * 2 * 4 * 2
+    assert len(outcomes) >= 24
     assert all(outcome == "after" for what, outcome in outcomes if what.endswith("saved again"))
 
 
@@ -35,3 +35,9 @@ def test_files_that_are_cut_or_have_a_flipped_bit_are_refused(two_points, tmp_pa
     outcomes = list(damaged_states(two_points[0], tmp_path, flips=3, seed=0, every=1 << 17))
     assert len(outcomes) > 10
     assert [each for each in outcomes if each[1] != "refused"] == []
+
+
+def test_a_loss_of_power_leaves_the_state_before_or_after(two_points, tmp_path):
+    outcomes = list(lost_writes(two_points, tmp_path, seed=0, count=1))
+    counts = Counter(outcome for _, outcome in outcomes)
+    assert set(counts) == {"before", "after", "saved"}, counts

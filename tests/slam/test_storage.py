@@ -1,5 +1,6 @@
 """States on disk: what is loaded is what was saved, and old images leave memory."""
 
+import os
 from dataclasses import replace
 
 import jax
@@ -172,6 +173,23 @@ def test_a_full_disk_does_not_end_a_run(room, frames, busy, tmp_path):
     assert not any(isinstance(view.rgb, np.memmap) for view in found.state.mapping.views)
 
 
+def test_images_that_are_newer_than_the_checkpoint_do_not_spoil_the_next(room, frames, busy, tmp_path):
+    offered = list(enumerate(frames[:4]))
+    slam.save_run(slam.run(offered[:2], room.camera, busy), tmp_path)
+    named = {path.name for path in tmp_path.iterdir()}
+    # The killed run went on, put more images on the disk, and the last of them were damaged.
+    slam.save_run(slam.run(offered, room.camera, busy, storage=tmp_path / "more"), tmp_path / "more")
+    newer = [path for path in (tmp_path / "more").iterdir() if path.name not in named]
+    assert {path.name.split("-")[0] for path in newer} == {"view", "keyframe"}
+    for path in newer:
+        (tmp_path / path.name).write_bytes(path.read_bytes()[:-1])
+    resumed = slam.load_run(tmp_path, busy)
+    found = slam.run(offered[2:], room.camera, busy, storage=tmp_path, resumed=resumed)
+    assert found.storage_failure == ""
+    slam.save_run(found, tmp_path)
+    assert_equal(slam.load_run(tmp_path, busy).state, found.state)
+
+
 def test_a_run_that_is_taken_up_again_clears_up(tmp_path):
     with pytest.raises(InputError, match=r"before its first checkpoint; --overwrite"):
         slam.resume_folder(tmp_path)
@@ -183,3 +201,12 @@ def test_a_run_that_is_taken_up_again_clears_up(tmp_path):
     assert slam.resume_folder(tmp_path) == tmp_path / "state"
     assert not any((tmp_path / name).exists() for name in left)
     assert all((tmp_path / name).exists() for name in others)
+
+
+def test_only_the_user_may_look_into_a_state(room, frames, busy, tmp_path):
+    umask = os.umask(0)
+    try:
+        slam.save(follow(slam.init(room.camera, busy), frames[:1]), tmp_path / "out" / "state")
+    finally:
+        os.umask(umask)
+    assert (tmp_path / "out" / "state").stat().st_mode & 0o777 == 0o700

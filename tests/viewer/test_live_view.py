@@ -143,9 +143,11 @@ def test_the_page_shows_the_run_and_controls_it(browser, view, recording, state,
     other.wait_for_text(f"Frame {NUM_FRAMES} of {NUM_FRAMES}")
     assert not run.interrupted
 
-    view.finish(run.result, "Results: here")
+    # A folder's name is text on the page, no HTML.
+    hostile = "Results: <img src=x onerror=document.title='X'> [a](b) {c} *d* in r_1"
+    view.finish(run.result, hostile)
     other.wait_for_text(f"The run has ended: {NUM_FRAMES} of {NUM_FRAMES} frames tracked")
-    other.wait_for_text("Results: here")
+    other.wait_for_text(hostile)
     other.wait_for_text("0.00 cm")  # error of the true poses
     assert other.page.get_by_role("button", name="Stop").is_disabled()
     assert other.errors == []

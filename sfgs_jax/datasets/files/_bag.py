@@ -8,7 +8,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.arrays import FrameError, InputError, excerpt
+
+_LONGEST_NAME = 255
+"""Characters of a topic's name."""
 
 
 class Bag:
@@ -18,7 +21,8 @@ class Bag:
 
     Attributes:
         path: a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.
-        topics: type of the messages by topic, such as `sensor_msgs/msg/Image`.
+        topics: type of the messages by topic, such as `sensor_msgs/msg/Image`. Names longer than ROS allows
+            are left out.
     """
 
     def __init__(self, path: Path) -> None:
@@ -36,9 +40,13 @@ class Bag:
         except ImportError as error:
             raise InputError(f"{path} is a bag of ROS; pip install 'sfgs-jax[rosbag]' to read it.") from error
         try:
-            self.topics = {connection.topic: connection.msgtype for connection in self._reader().connections}
+            self.topics = {
+                connection.topic: connection.msgtype
+                for connection in self._reader().connections
+                if len(connection.topic) <= _LONGEST_NAME
+            }
         except Exception as error:  # the package raises errors of many kinds at damaged files
-            raise InputError(f"{path} cannot be read as a bag: {_sentence(error)}") from error
+            raise InputError(f"{path} cannot be read as a bag: {excerpt(error)}.") from error
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Messages of a topic with the times at which they were recorded, nanoseconds, in order of time.
@@ -52,7 +60,7 @@ class Bag:
             for connection, time, data in reader.messages(connections=wanted) if wanted else ():
                 yield time, reader.deserialize(data, connection.msgtype)
         except Exception as error:
-            raise InputError(f"{topic} of {self.path} cannot be read: {_sentence(error)}") from error
+            raise InputError(f"{topic} of {self.path} cannot be read: {excerpt(error)}.") from error
 
     def message(self, topic: str, time: int) -> Any:
         """The message of a topic that was recorded at a time in nanoseconds.
@@ -66,7 +74,7 @@ class Bag:
             for connection, _, data in reader.messages(connections=wanted, start=time, stop=time + 1):
                 return reader.deserialize(data, connection.msgtype)
         except Exception as error:
-            raise FrameError(f"{topic} of {self.path} cannot be read: {_sentence(error)}") from error
+            raise FrameError(f"{topic} of {self.path} cannot be read: {excerpt(error)}.") from error
         raise FrameError(f"{topic} of {self.path} has no message at {time} ns.")
 
     def _reader(self) -> Any:
@@ -86,9 +94,3 @@ def _close(readers: list[Any]) -> None:
     for reader in readers:
         with suppress(Exception):
             reader.close()
-
-
-def _sentence(error: Exception) -> str:
-    """An error as the end of a sentence, on one line."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if text.endswith(".") else f"{text}."

@@ -20,7 +20,8 @@ DEPTH_SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".pgm")
 # A saturated sensor value means "too far or unknown" in 7-Scenes and in every other 16-bit layout.
 _SATURATED = 65535
 # Larger than the images of any RGB-D camera. A damaged header may ask for more memory than there is.
-_MOST_PIXELS = 1 << 26
+MOST_PIXELS = 1 << 26
+"""Pixels of the largest image that is read."""
 _MOST_BYTES = 1 << 30
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")
 # Metres, which no camera sees. It is far above depth in a wrong unit, for which there is a note.
@@ -224,11 +225,11 @@ def _require_size(data: bytes, name: str) -> None:
     try:
         width, height = Image.open(io.BytesIO(data), formats=_FORMATS).size  # reads the header only
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
-        raise FrameError(f"{name} has more than {_MOST_PIXELS} pixels.") from None
+        raise FrameError(f"{name} has more than {MOST_PIXELS} pixels.") from None
     except Exception:  # no image that it knows; the decoder has the last word
         return
-    if width * height > _MOST_PIXELS:
-        raise FrameError(f"{name} has {width}x{height} pixels, more than {_MOST_PIXELS}.")
+    if width * height > MOST_PIXELS:
+        raise FrameError(f"{name} has {width}x{height} pixels, more than {MOST_PIXELS}.")
 
 
 def _is_whole(data: bytes) -> bool:

@@ -9,13 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.arrays import FrameError, InputError
-from sfgs_jax.datasets.files._images import colour_of_bgr
+from sfgs_jax.datasets.files._images import MOST_PIXELS, colour_of_bgr
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v")
 """Endings of videos."""
-
-# A larger size in a header is damage, not a camera.
-_LONGEST_SIDE = 16384
 
 
 class Video:
@@ -44,7 +41,7 @@ class Video:
         self._next = 0
         self.frames_per_second = float(self._capture.get(cv2.CAP_PROP_FPS)) or 30.0
         sides = [self._capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
-        if not all(0 < side <= _LONGEST_SIDE for side in sides):
+        if min(sides) < 1 or sides[0] * sides[1] > MOST_PIXELS:
             raise InputError(f"{path} says that its frames are {sides[0]:g}x{sides[1]:g}, which can't be.")
         self.num_frames = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         if self.num_frames <= 0:

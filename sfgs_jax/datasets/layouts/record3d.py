@@ -6,6 +6,9 @@ fraction of its size. Quaternions have their real part last. ARKit's cameras hav
 """
 
 import json
+import lzma
+import math
+import struct
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -37,8 +40,22 @@ from sfgs_jax.datasets.files import (
 _FRAMES_PER_SECOND = 30.0
 # A larger member is damage or an attack, not a picture or metadata of a capture.
 _LARGEST_MEMBER = 1 << 28
+# No camera has longer sides.
+_LONGEST_SIDE = 1 << 14
 # Depth of 2000x2000 pixels; phones have 640x480 at most.
 _LARGEST_IMAGE = 1 << 24
+
+# Raised by zipfile and its decompressors where an archive is damaged.
+_DAMAGE = (
+    OSError,
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    RuntimeError,
+    EOFError,
+    struct.error,
+    UnicodeError,
+)
 
 
 def matches(source: Path) -> bool:
@@ -87,7 +104,7 @@ class _Members:
                 names = self._archive.namelist()
             else:
                 names = [f"rgbd/{path.name}" for path in (source / "rgbd").iterdir()]
-        except (OSError, zipfile.BadZipFile) as error:
+        except _DAMAGE as error:
             raise InputError(f"{source} cannot be read as an .r3d archive: {excerpt(error)}.") from error
         self.names = frozenset(names)
         stems = [name[5:-4] for name in names if name.startswith("rgbd/") and name.endswith(".jpg")]
@@ -108,7 +125,7 @@ class _Members:
             )
         except KeyError as error:
             raise FrameError(f"{self.text(name)} is missing.") from error
-        except (OSError, zipfile.BadZipFile, zlib.error, RuntimeError) as error:
+        except _DAMAGE as error:
             raise FrameError(f"{self.text(name)} cannot be read: {excerpt(error)}.") from error
 
     def text(self, name: str) -> str:
@@ -143,8 +160,8 @@ class _Metadata:
             poses = _numbers(content.get("poses", []), 7)
             times = _numbers(content.get("frameTimestamps", []), 1)[:, 0]
             fps = float(content.get("fps") or _FRAMES_PER_SECOND)
-            if min(width, height, fps) <= 0:
-                raise ValueError("w, h and fps must be above 0")
+            if not (min(width, height) > 0 and max(width, height) <= _LONGEST_SIDE and 0 < fps < math.inf):
+                raise ValueError(f"w and h must be from 1 to {_LONGEST_SIDE}, and fps above 0")
             if not np.isfinite(times).all():
                 raise ValueError("frameTimestamps must be finite")
         except FrameError as error:
@@ -216,7 +233,7 @@ class _Depth:
         data = decompress_lzfse(self.members.read(name, _LARGEST_IMAGE), self.members.text(name))
         itemsize = np.dtype(kind).itemsize
         count = len(data) // itemsize
-        width = round((count * self.aspect) ** 0.5)
+        width = max(1, round((count * self.aspect) ** 0.5))
         if not count or len(data) % itemsize or count % width:
             raise FrameError(
                 f"{self.members.text(name)} holds {len(data)} bytes, no image of colour's shape."

@@ -40,6 +40,8 @@ _CAMERA_INFO, _TRANSFORMS = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessag
 _LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
 _REGISTERED = ("aligned", "registered")
 _LENS_COUNTS = (0, 4, 5, 8)
+_MOST_TOPICS = 20
+"""Topics that a message lists."""
 
 
 def matches(source: Path) -> bool:
@@ -116,7 +118,7 @@ def _topics(bag: Bag) -> tuple[str, str, list[str]]:
     chosen, notes = [], []
     for name, topics, words in (("colour", colour, ("color", "rgb")), ("depth", depth, _REGISTERED)):
         if not topics:
-            found = ", ".join(sorted(bag.topics)) or "none"
+            found = ", ".join(sorted(bag.topics)[:_MOST_TOPICS]) or "none"
             raise InputError(f"{bag.path} has no topic of {name} images; its topics are {found}.")
         # Preferred words first, then images without loss.
         topics = sorted(

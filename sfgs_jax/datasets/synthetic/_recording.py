@@ -8,7 +8,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, excerpt
 from sfgs_jax.datasets.synthetic._kinect_faults import KINECT_V1, KinectFaults, row_delays
 from sfgs_jax.datasets.synthetic._noise import add_noise
 from sfgs_jax.datasets.synthetic._path import poses_between
@@ -27,6 +27,7 @@ _FIELDS = {
     "noise": "noise",
     "kinect": "kinect",
 }
+_LARGEST = {"num_frames": 1_000_000, "width": 8192, "height": 8192, "seed": (1 << 31) - 1}
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,12 @@ class SyntheticRecording:
                 "A synthetic recording needs at least 1 frame of at least 16x16 pixels, and a seed from 0, "
                 f"not {self.num_frames} of {self.width}x{self.height} with seed {self.seed}."
             )
+        for name, largest in _LARGEST.items():
+            if getattr(self, name) > largest:
+                raise InputError(
+                    f"{name} of a synthetic recording is at most {largest}, "
+                    f"not {excerpt(getattr(self, name))}."
+                )
         timestamps = np.arange(self.num_frames, dtype=np.float64) / _FRAMES_PER_SECOND
         place = PLACES[self.place](self.seed, self.num_frames)
         object.__setattr__(self, "_place", place)
@@ -87,9 +94,9 @@ class SyntheticRecording:
             if name.strip() == "place":
                 place = value.strip()
                 continue
-            if name.strip() not in _FIELDS or not value.strip().isdecimal():
+            if name.strip() not in _FIELDS or not value.strip().isdecimal() or len(value) > 20:
                 raise InputError(
-                    f"{source!r} is not understood at {item!r}; "
+                    f"{excerpt(source)} is not understood at {excerpt(item)}; "
                     "write for example synthetic:frames=60,width=160,height=120,seed=1,noise=1."
                 )
             values[_FIELDS[name.strip()]] = int(value)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.arrays import FrameError, InputError, write_atomically
 from sfgs_jax.datasets import Recording
 from sfgs_jax.datasets.files import depth_units
 from sfgs_jax.evaluation._run_folder import PosedFrames
@@ -63,8 +63,8 @@ def written_images(
         (path / kind).mkdir()
     for name, frame, pose in posed_images(recording, posed):
         units = depth_units(np.asarray(frame.depth), UNITS_PER_METRE)
-        (path / "images" / name).write_bytes(encoded_colour(frame))
-        (path / "depth" / name).write_bytes(_encoded(units, ".png"))
+        write_atomically(path / "images" / name, encoded_colour(frame), sync_name=False)
+        write_atomically(path / "depth" / name, _encoded(units, ".png"), sync_name=False)
         yield name, frame, pose
 
 

@@ -24,7 +24,7 @@ from sfgs_jax.slam.mapping import (
     refine_once,
 )
 from sfgs_jax.slam.run._stopwatch import Stopwatch
-from sfgs_jax.slam.run._storage import load, save, saved_facts, spill, spill_views
+from sfgs_jax.slam.run._storage import load, remove_other_images, save, saved_facts, spill, spill_views
 from sfgs_jax.slam.run._warm_up import warm_up
 from sfgs_jax.slam.state import MapState, SlamState, StepInfo
 from sfgs_jax.slam.step import follow
@@ -229,8 +229,8 @@ def run(
         camera: intrinsics of the frames.
         config: settings.
         observer: called after every frame and final step; `combined` makes one of several.
-        storage: folder for the images of old keyframes and views; without one, or when it can't be written,
-            they stay in memory.
+        storage: folder for the images of old keyframes and views, of this run alone: others are removed.
+            Without one, or when it can't be written, they stay in memory.
         resumed: a run to go on with; `frames` begin where it stopped.
         realtime: map in a thread of its own, in the time that tracking leaves. Otherwise each frame and each
             view has its number of map steps, and a run repeats itself to the bit.
@@ -244,6 +244,7 @@ def run(
     _check_resumed(result, camera, config)
     with result.stopwatch("compilation"):
         warm_up(camera, config)
+    _stored(result, result.state, storage, _without_other_images)
     kept = config.mapping.views_in_memory
 
     def spill_map(mapping: MapState) -> MapState:
@@ -309,6 +310,11 @@ def _advance(
         is_finished=False,
     )
     return found
+
+
+def _without_other_images(state: SlamState, storage: Path) -> SlamState:
+    remove_other_images(state, storage)
+    return state
 
 
 def _stored(run: Run, value: _T, storage: Path | None, put: Callable[[_T, Path], _T]) -> _T:

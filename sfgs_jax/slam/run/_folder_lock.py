@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, make_folder
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def locked_folder(folder: Path, *, make: bool = True) -> Iterator[None]:
     """
     try:
         if make:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder)
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY) if folder.is_dir() else None
     except OSError as error:
         raise InputError(

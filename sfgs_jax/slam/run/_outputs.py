@@ -12,7 +12,7 @@ from pathlib import Path
 
 import jax
 
-from sfgs_jax.arrays import InputError, remove_unfinished, write_atomically
+from sfgs_jax.arrays import InputError, make_folder, remove_unfinished, sync_folder, write_atomically
 from sfgs_jax.geometry import Camera, format_covariances, format_tum
 from sfgs_jax.sensors import EXPOSURE_FILE, SENSOR_FILE, format_gains
 from sfgs_jax.slam.run._driver import Run
@@ -55,7 +55,7 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
         InputError: it is not empty, not a folder, or can't be written.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         present = sorted(path.name for path in folder.iterdir())
         if present and not overwrite:
             raise InputError(
@@ -116,6 +116,7 @@ def _remove_storage(storage: Path) -> None:
     """Remove the state first, for without its images it would be taken for a damaged one."""
     if storage.is_dir():
         (storage / STATE_FILE).unlink(missing_ok=True)
+        sync_folder(storage)
         shutil.rmtree(storage)
 
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, make_folder, sync_folder
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
@@ -52,11 +52,13 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         OSError: a file can't be written.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, private=True)
     for i, keyframe in enumerate(state.graph.keyframes):
         _write_once(_keyframe_file(folder, i, keyframe), keyframe.features)
     for i, view in enumerate(state.mapping.views):
         _write_once(_image_file(folder, "view", i), _images(view))
+    # The images have their names before the state that names them.
+    sync_folder(folder)
     counts = {
         "keyframes": len(state.graph.keyframes),
         "edges": len(state.graph.edges),
@@ -151,6 +153,26 @@ def spill_views(mapping: MapState, folder: Path, kept: int) -> MapState:
     return replace(mapping, views=tuple(views))
 
 
+def remove_other_images(state: SlamState, folder: Path) -> None:
+    """Remove the images of keyframes and views that a state does not have.
+
+    A run that was killed has left those that are newer than its checkpoint. They may be damaged, and would be
+    taken for the images of the keyframes and views to come.
+
+    Args:
+        state: the state that its run goes on from.
+        folder: its images; one that is not there holds none.
+
+    Raises:
+        OSError: a file can't be removed.
+    """
+    known = {_keyframe_file(folder, i, keyframe) for i, keyframe in enumerate(state.graph.keyframes)}
+    known |= {_image_file(folder, "view", i) for i in range(len(state.mapping.views))}
+    for kind in ("keyframe", "view"):
+        for path in set(folder.glob(f"{kind}-*.safetensors")) - known:
+            path.unlink()
+
+
 def _images(view: View) -> tuple[Any, Any, Any]:
     return view.rgb, view.depth, view.valid
 
@@ -175,8 +197,8 @@ def _image_file(folder: Path, kind: str, number: int) -> Path:
 
 def _write_once(path: Path, images: Any) -> None:
     if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_tensors(path, _named(images), {"name": path.name})
+        make_folder(path.parent, private=True)
+        write_tensors(path, _named(images), {"name": path.name}, sync_name=False)
 
 
 def _read_images(path: Path, like: _T) -> _T:

@@ -23,13 +23,16 @@ _BLANK = "0" * (2 * _DIGEST_BYTES)
 """In the checksum's place while it is computed."""
 
 
-def write_tensors(path: Path, tensors: Mapping[str, ArrayLike], metadata: Mapping[str, str]) -> None:
+def write_tensors(
+    path: Path, tensors: Mapping[str, ArrayLike], metadata: Mapping[str, str], *, sync_name: bool = True
+) -> None:
     """Write named arrays and text about them; the file is whole or not there.
 
     Args:
         path: of the file.
         tensors: arrays by name.
         metadata: text by name; the name "checksum" is taken.
+        sync_name: as in `write_atomically`.
 
     Raises:
         OSError: the file can't be written.
@@ -37,7 +40,8 @@ def write_tensors(path: Path, tensors: Mapping[str, ArrayLike], metadata: Mappin
     # Not `ascontiguousarray`, which would make a vector of a scalar.
     arrays = {name: np.asarray(array, order="C") for name, array in tensors.items()}
     content = save(arrays, metadata={**metadata, _KEY: _BLANK})
-    write_atomically(path, content.replace(_entry(_BLANK), _entry(_digest(content).hexdigest()), 1))
+    content = content.replace(_entry(_BLANK), _entry(_digest(content).hexdigest()), 1)
+    write_atomically(path, content, sync_name=sync_name)
 
 
 def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
