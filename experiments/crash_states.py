@@ -18,7 +18,7 @@ _PAGE = 4096
 
 def same_state(a: slam.Run, b: slam.Run) -> bool:
     """True if two runs are at the same point with the same numbers, to the bit."""
-    left, right = (jax.tree.leaves(r.state) for r in (a, b))
+    left, right = jax.tree.leaves(a.state), jax.tree.leaves(b.state)
     counts = [(r.num_frames, r.num_skipped, r.num_refined, r.is_finished) for r in (a, b)]
     return (
         counts[0] == counts[1]
