@@ -125,9 +125,10 @@ def test_the_replay_goes_by_the_clock_of_the_recording(page, scene, received):
     wait_until(page, lambda: scene.replay.position[0] >= 0.68)
     slow = time.monotonic() - start - fast
     page.page.get_by_label("Play", exact=True).set_checked(False, force=True)
-    # The same way takes three times as long where the recording was slow: 0.73 s and 2.2 s.
-    assert 0.5 < fast < 1.5
-    assert 2 < slow / fast < 4
+    # The same way takes three times as long where the recording was slow: 0.73 s and 2.2 s. A replay by the
+    # number of the frame would take as long for both, however slow a machine is.
+    assert fast > 0.3
+    assert slow / fast > 1.7
 
 
 def test_the_browser_downloads_the_map(page, scene, received, tmp_path):
