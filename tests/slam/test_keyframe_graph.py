@@ -15,6 +15,7 @@ from sfgs_jax.slam.keyframes import (
     accept_consistent_loops,
     bend,
     compile_ahead,
+    is_contradicted,
     neighbours,
     optimise_poses,
     travelled,
@@ -123,6 +124,15 @@ def test_a_loop_bends_the_graph_as_it_stands(drifted, circle):
     graph = replace(graph, poses=drifted.graph.poses)
     before = end_error(drifted, circle)
     assert end_error(replace(drifted, graph=bend(graph, config)), circle) < before / 5
+
+
+def test_only_a_place_seen_elsewhere_contradicts_the_graph(drifted, circle):
+    poses = np.stack([np.asarray(se3.from_matrix(T).wxyz_xyz) for T in circle])
+    old, again = drifted.graph.edges, true_loop(circle, 0, COUNT - 1)
+    graph = replace(drifted.graph, edges=(*old, again), num_absorbed=len(old))
+    assert is_contradicted(graph)
+    assert not is_contradicted(replace(graph, poses=poses))
+    assert not is_contradicted(replace(graph, num_absorbed=len(old) + 1))
 
 
 def test_a_large_graph_bends_as_a_small_one(drifted, circle):

@@ -32,6 +32,7 @@ from sfgs_jax.slam.keyframes._loops import travelled as travelled
 from sfgs_jax.slam.keyframes._loops import with_candidate as with_candidate
 from sfgs_jax.slam.keyframes._pose_graph import bend as bend
 from sfgs_jax.slam.keyframes._pose_graph import compile_ahead as compile_ahead
+from sfgs_jax.slam.keyframes._pose_graph import is_contradicted as is_contradicted
 from sfgs_jax.slam.keyframes._pose_graph import optimise_poses as optimise_poses
 from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew as rectified_anew
 from sfgs_jax.slam.keyframes._rectification_anew import with_first_motion as with_first_motion

@@ -7,6 +7,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from sfgs_jax.factor_graph import RelativePose
 from sfgs_jax.geometry import Kernel, se3
@@ -16,6 +17,8 @@ from sfgs_jax.slam.state._registration import PoseSource, Registration
 
 _METRES, _RADIANS = 0.01, 0.007
 """Errors that count as alike: a turn by the second moves what is 1.5 m away by the first."""
+CONSISTENT = float(chi2.ppf(0.99, 6))
+"""Squared deviation of a motion's six degrees of freedom that chance exceeds in one case of a hundred."""
 _LEAST_SHARE = 1e-4
 """Least information of a direction that the surface fixes, as a share of the largest: a hundred times the
 deviation. Beyond it float32 leaves little of the gradient."""

@@ -19,7 +19,7 @@ from sfgs_jax.slam.keyframes._depth_estimate import with_new_offsets, with_regis
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, travelled, with_candidate
-from sfgs_jax.slam.keyframes._pose_graph import compile_ahead, optimise_poses
+from sfgs_jax.slam.keyframes._pose_graph import compile_ahead, is_contradicted, optimise_poses
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
@@ -94,14 +94,14 @@ def _optimised(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig)
     """The graph with its keyframes where registrations and landmarks want them.
 
     With landmarks it is only begun. That moves the newest keyframes; all others are to move too where a place
-    is seen again.
+    is seen again elsewhere than where the graph has it.
     """
     if not _has_landmarks(params, config):
         return optimise_poses(graph, config)
     graph = with_adjustment_taken(graph)
     new = graph.edges[graph.num_absorbed :]
-    seen_again = len(graph.keyframes) > config.window and any(edge.revisit for edge in new)
-    graph = with_adjustment_begun(params, graph, config, bent=seen_again or any(edge.loop for edge in new))
+    off = len(graph.keyframes) > config.window and is_contradicted(graph)
+    graph = with_adjustment_begun(params, graph, config, bent=off or any(edge.loop for edge in new))
     return replace(graph, num_absorbed=len(graph.edges))
 
 

@@ -14,7 +14,7 @@ from sfgs_jax.arrays import doubled
 from sfgs_jax.factor_graph import Capacities, FactorGraph, SolverConfig, Status, Values, solve
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.keyframes._edges import relative_poses
+from sfgs_jax.slam.keyframes._edges import CONSISTENT, motions_of, relative_poses
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 
 _SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4)
@@ -61,6 +61,22 @@ def bend(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
     return _solved(
         graph, config, [*held, *(e for e in new if not e.loop)], [edge for edge in new if edge.loop]
     )
+
+
+def is_contradicted(graph: KeyframeGraph) -> bool:
+    """Whether a place is seen again elsewhere than where the graph has it, beyond the error of the edge.
+
+    Args:
+        graph: with the edges that it has not absorbed.
+    """
+    again = [edge for edge in graph.edges[graph.num_absorbed :] if edge.revisit]
+    if not again:
+        return False
+    ends = np.asarray([(edge.target, edge.source) for edge in again])
+    T, found = se3.matrices_of(graph.poses), se3.matrices_of(motions_of(again, graph.offsets))
+    off = se3.logs_of(np.linalg.inv(found) @ np.linalg.inv(T[ends[:, 0]]) @ T[ends[:, 1]])
+    told = replace(graph.noise, redundancy=1.0).share(np.stack([edge.information for edge in again]))
+    return bool(np.einsum("ni,nij,nj->n", off, told, off).max() > CONSISTENT)
 
 
 def _solved(

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.stats import chi2
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
@@ -14,14 +13,11 @@ from sfgs_jax.slam.frontend import TrackInfo, features_in_use, needs_keyframe
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_edge
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
+from sfgs_jax.slam.keyframes._edges import CONSISTENT
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at, with_reference
-
-_CONSISTENT = float(chi2.ppf(0.99, 6))
-"""Largest squared Mahalanobis distance between what the graph says and what the keyframe says: a hundredth of
-the frames that agree are farther off."""
 
 
 def revisited(
@@ -91,7 +87,7 @@ def _agrees(
     covariance = sum(
         motion_covariance(found, graph.noise, params.config.motion_model_sigma) for found in registrations
     )
-    return bool(off @ np.linalg.solve(covariance, off) < _CONSISTENT)
+    return bool(off @ np.linalg.solve(covariance, off) < CONSISTENT)
 
 
 @jax.jit
