@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 from unittest import mock
 
 CALLS = ("open", "write", "fsync", "replace")
@@ -64,13 +64,13 @@ class Faults:
         return call
 
 
-class _File:
-    """A file whose writes may fail half-way."""
+class FileAround:
+    """A file around another, which does all that is not said otherwise."""
 
-    def __init__(self, file: Any, fails: Callable[[], bool]) -> None:
-        self._file, self._fails = file, fails
+    def __init__(self, file: Any) -> None:
+        self._file = file
 
-    def __enter__(self) -> "_File":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -78,6 +78,14 @@ class _File:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._file, name)
+
+
+class _File(FileAround):
+    """A file whose writes may fail half-way."""
+
+    def __init__(self, file: Any, fails: Callable[[], bool]) -> None:
+        super().__init__(file)
+        self._fails = fails
 
     def write(self, content: bytes) -> None:
         """Write all of it, or half of it and fail."""

@@ -13,6 +13,8 @@ from types import TracebackType
 from typing import Any, NamedTuple
 from unittest import mock
 
+from experiments.crash_faults import FileAround
+
 
 class _Change(NamedTuple):
     """A change of a file system: `kind` is make, write, sync, replace, remove or folder."""
@@ -194,20 +196,12 @@ def _renamed(names: dict[Path, _Content], change: dict[Path, _Content | None]) -
     return {path: content for path, content in (names | change).items() if content is not None}
 
 
-class _Heard:
+class _Heard(FileAround):
     """A file whose writes are told, with its handle, after they were done."""
 
     def __init__(self, file: Any, told: Callable[[int, bytes], None]) -> None:
-        self._file, self._told = file, told
-
-    def __enter__(self) -> "_Heard":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._file.close()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._file, name)
+        super().__init__(file)
+        self._told = told
 
     def write(self, content: bytes) -> None:
         """Write."""

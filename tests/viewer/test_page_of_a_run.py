@@ -127,8 +127,8 @@ def test_the_replay_goes_by_the_clock_of_the_recording(page, scene, received):
     page.page.get_by_label("Play", exact=True).set_checked(False, force=True)
     # The same way takes three times as long where the recording was slow: 0.73 s and 2.2 s. A replay by the
     # number of the frame would take as long for both, however slow a machine is.
-    assert fast > 0.3
-    assert slow / fast > 1.7
+    assert fast > 0.5
+    assert slow / fast > 2
 
 
 def test_the_browser_downloads_the_map(page, scene, received, tmp_path):
