@@ -100,6 +100,28 @@ def test_each_match_counts_once(run, config):
     assert not loops.valid.any()
 
 
+def test_a_landmark_that_many_keyframes_show_needs_no_larger_program(run, config):
+    """A camera that stays sees one landmark in more keyframes than a cluster has room for."""
+    graph, config = run.graph, replace(config.graph, window=60)
+    times = 10
+    crowd = replace(
+        graph,
+        keyframes=graph.keyframes * times,
+        poses=np.tile(graph.poses, (times, 1)),
+        covariances=np.tile(graph.covariances, (times, 1, 1)),
+        edges=tuple(replace(graph.edges[0], target=i, source=i + 1) for i in range(5 * times - 1)),
+    )
+    few, many = (slam.window_of(run.params, g, config).graph for g in (graph, crowd))
+    assert many.structure.cluster_poses.shape == few.structure.cluster_poses.shape
+    seen = many.factors[0]
+    room = few.structure.cluster_poses.shape[1]
+    landmarks, poses = (np.asarray(x)[np.asarray(seen.valid)] for x in (seen.landmarks, seen.poses[:, 0]))
+    assert np.bincount(landmarks).max() == room
+    # The observations that are left lie all over the time in which it was seen.
+    often = poses[landmarks == np.bincount(landmarks).argmax()]
+    assert np.ptp(often) > 40
+
+
 def test_keyframes_tied_to_others_outside_hold_the_window_in_place(run, config):
     """Five keyframes and room for four: the first is left out, and what is tied to it stays."""
     window = slam.window_of(run.params, run.graph, config.graph)

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from registrations import registration
 
-from sfgs_jax.slam.frontend import Evidence, judge, supports_edge, supports_relocalisation
+from sfgs_jax.slam.frontend import (
+    NO_SUSPICION,
+    Evidence,
+    judge,
+    strengthened,
+    supports_edge,
+    supports_relocalisation,
+    undisputed,
+)
 from sfgs_jax.slam.state import PoseSource
 
 EITHER = (False, True)
@@ -121,3 +129,33 @@ def test_edges_need_keypoints_where_there_are_any(config, source, correction, wi
 def test_only_many_keypoints_relocalise(config, source, inliers, expected):
     graph = replace(config.graph, relocalisation_inliers=30)
     assert supports_relocalisation(registration(source=source, inliers=inliers), graph) == expected
+
+
+def at(metres):
+    return np.asarray([1, 0, 0, 0, metres, 0, 0], np.float32)
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        # One keyframe alone may be of a room that looks the same.
+        ([(7.0, 100)], None),
+        ([(7.0, 60), (7.05, 90)], 1),
+        ([(7.0, 60), (7.2, 90)], None),
+        # A third that puts the camera elsewhere counts against them, unless it has few inliers.
+        ([(7.0, 60), (7.05, 90), (14.0, 46)], None),
+        ([(7.0, 60), (7.05, 90), (14.0, 44)], 1),
+    ],
+)
+def test_two_keyframes_have_to_agree_on_a_place_out_of_reach(places, expected):
+    found = [(at(metres), registration(inliers=inliers)) for metres, inliers in places]
+    assert undisputed(found, tolerance=0.1) == expected
+
+
+def test_frames_in_a_row_strengthen_a_suspicion_as_far_as_the_camera_may_have_moved(config):
+    graph = replace(config.graph, relocalisation_distance=0.3, relocalisation_speed=2.0)
+    counts, suspicion = [], NO_SUSPICION
+    for metres, seconds in [(7.0, 0.1), (7.4, 0.1), (7.8, 0.0), (7.9, 0.0), (8.0, 0.1)]:
+        suspicion = strengthened(suspicion, at(metres), seconds, graph)
+        counts.append(int(suspicion.frames))
+    assert counts == [1, 2, 1, 2, 3]

@@ -7,6 +7,7 @@ Landmarks are sorted into clusters that few poses see. Eliminating a cluster is 
 (3 landmarks) x (6 poses) matrix with itself.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -25,6 +26,9 @@ from sfgs_jax.factor_graph.problem._capacities import (
 
 ALL_PAIRS = 128
 """Graphs of at most this many poses keep a slot for every pair, so a new factor never needs another one."""
+
+_UNFILLED = 4
+"""Clusters with room left that a landmark is tried in, the newest first."""
 
 _Indices = Int[Array | np.ndarray, "..."]
 
@@ -122,17 +126,31 @@ def _cluster_landmarks(factors: Sequence[Factor], num_landmarks: int, num_poses:
     cluster_of = np.full(num_landmarks, -1, np.int64)
     place_of = np.zeros(num_landmarks, np.int64)
     limit = max(CLUSTER_POSES, max((len(t) for t in tracks.values()), default=0))
-    groups: list[set[int]] = []
-    size = 0
-    # Tracks in order of their first poses lie together: a cluster takes them until it is full.
+    # Sets of poses as the bits of a number: their union is counted in one instruction.
+    poses_of: list[int] = []
+    sizes: list[int] = []
+    # Where all pairs of poses have a slot, a cluster may as well hold landmarks that lie apart.
+    unfilled: deque[int] = deque(maxlen=_UNFILLED if num_poses <= ALL_PAIRS else 1)
+    # Tracks in order of their first poses lie together.
     for landmark, track in sorted(tracks.items(), key=lambda item: item[1]):
-        if not groups or size == CLUSTER_LANDMARKS or len(groups[-1].union(track)) > limit:
-            groups.append(set())
-            size = 0
-        groups[-1].update(track)
-        cluster_of[landmark], place_of[landmark] = len(groups) - 1, size
-        size += 1
-    return _Clusters(cluster_of, place_of, [sorted(group) for group in groups])
+        poses = sum(1 << pose for pose in track)
+        fits = (c for c in reversed(unfilled) if (poses_of[c] | poses).bit_count() <= limit)
+        cluster = next(fits, len(sizes))
+        if cluster == len(sizes):
+            poses_of.append(0)
+            sizes.append(0)
+            unfilled.append(cluster)
+        poses_of[cluster] |= poses
+        cluster_of[landmark], place_of[landmark] = cluster, sizes[cluster]
+        sizes[cluster] += 1
+        if sizes[cluster] == CLUSTER_LANDMARKS:
+            unfilled.remove(cluster)
+    return _Clusters(cluster_of, place_of, [_bits(poses) for poses in poses_of])
+
+
+def _bits(number: int) -> list[int]:
+    """Places of the bits that are set, in order."""
+    return [place for place, bit in enumerate(reversed(bin(number)[2:])) if bit == "1"]
 
 
 def _padded_poses(clusters: _Clusters, num_poses: int, given: Capacities) -> Int[np.ndarray, "C w"]:

@@ -67,6 +67,12 @@ class GraphConfig:
     """Keyframes that a lost frame is looked for in, the most similar images first."""
     relocalisation_inliers: int = 30
     """Least keypoint inliers with which a lost frame is found again in a keyframe."""
+    relocalisation_distance: float = 0.3
+    """Distance from its last pose within which a lost frame is believed at once, metres."""
+    relocalisation_speed: float = 2.0
+    """Speed at which that distance grows while the camera is lost, m/s: a quick walk."""
+    relocalisation_frames: int = 5
+    """Frames in a row that have to be found at one place before they are believed beyond that distance."""
     capacity: int = 128
     """Keyframes that the solver has room for at first. It doubles when full."""
 
@@ -86,6 +92,8 @@ class GraphConfig:
             "loop_inliers",
         )
         check_counts(self, 0, "relocalisation_candidates", "relocalisation_inliers")
+        check_counts(self, 1, "relocalisation_frames")
+        check_range(self, 0, math.inf, "relocalisation_distance", "relocalisation_speed")
         check_positive(self, "edge_sigma_metres", "edge_sigma_radians", "kernel_width")
         check_range(self, 0, math.inf, "neighbour_distance", "neighbour_angle", "max_correction")
         check_range(self, 0, math.inf, "loop_slack", "max_drift", "max_turn")

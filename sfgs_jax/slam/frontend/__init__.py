@@ -12,7 +12,6 @@ from sfgs_jax.slam.frontend._joint_registration import Allowed as Allowed
 from sfgs_jax.slam.frontend._joint_registration import register as register
 from sfgs_jax.slam.frontend._localisation import Localised as Localised
 from sfgs_jax.slam.frontend._localisation import find_frame as find_frame
-from sfgs_jax.slam.frontend._localisation import localise as localise
 from sfgs_jax.slam.frontend._localisation import place as place
 from sfgs_jax.slam.frontend._localisation import relocalise as relocalise
 from sfgs_jax.slam.frontend._localisation import search_by_surface as search_by_surface
@@ -26,6 +25,9 @@ from sfgs_jax.slam.frontend._recorrection import offsets_in_use as offsets_in_us
 from sfgs_jax.slam.frontend._recorrection import recorrected as recorrected
 from sfgs_jax.slam.frontend._recorrection import with_depth_offsets as with_depth_offsets
 from sfgs_jax.slam.frontend._rectification import rectified as rectified
+from sfgs_jax.slam.frontend._suspicion import NO_SUSPICION as NO_SUSPICION
+from sfgs_jax.slam.frontend._suspicion import strengthened as strengthened
+from sfgs_jax.slam.frontend._suspicion import undisputed as undisputed
 from sfgs_jax.slam.frontend._track import TrackInfo as TrackInfo
 from sfgs_jax.slam.frontend._track import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend._track import init_tracker as init_tracker

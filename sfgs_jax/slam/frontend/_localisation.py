@@ -1,7 +1,8 @@
 """Localisation of a frame: the ladder from the last pose to any keyframe.
 
 1. `track`: the motion model, the last pose, and the frame before, in one compiled program.
-2. Relocalisation: registration to the keyframes whose images look most alike; only many matches count.
+2. Relocalisation: registration to the keyframes whose images look most alike; only many matches count. Out of
+   reach of the last pose, several frames in a row have to find the same place.
 3. Search by the surface: registration to the reference and the frame before from turned guesses.
 
 Steps 2 and 3 run only where `track` has lost the frame.
@@ -23,11 +24,18 @@ from sfgs_jax.slam.frontend._image_signature import similarities
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation
 from sfgs_jax.slam.frontend._recorrection import features_in_use
+from sfgs_jax.slam.frontend._suspicion import NO_SUSPICION, is_reachable, strengthened, undisputed
 from sfgs_jax.slam.frontend._track import TrackInfo, allowed_sources, rectified_last, settle, track
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource, Registration
-from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at, with_reference
+from sfgs_jax.slam.state._tracker import (
+    Suspicion,
+    Tracker,
+    TrackerParams,
+    reference_at,
+    with_reference,
+)
 from sfgs_jax.superfeats import mean_grey
 
 _TURNS = np.concatenate([np.eye(6)[3:5], -np.eye(6)[3:5]]).astype(np.float32)
@@ -80,55 +88,65 @@ def find_frame(
     after, info = track(params, tracker, mean_grey(frame.rgb), frame.depth, elapsed, keypoints)
     if int(info.source) != PoseSource.LOST:
         return after, info, False
-    found = localise(params, tracker, info.features, graph, config)
-    if found is None:
+    if not graph.keyframes:
         return after, info, False
+    found, suspicion = relocalise(params, after, info.features, graph, config, seconds=float(elapsed))
+    found = found or search_by_surface(params, tracker, info.features)
+    if found is None:
+        return eqx.tree_at(lambda t: t.suspicion, after, jax.device_put(suspicion)), info, False
     return *place(params, after, info.features, found), found.relocalised
 
 
-def localise(
+def relocalise(
     params: TrackerParams,
     tracker: Tracker,
     features: FrameFeatures,
     graph: KeyframeGraph,
     config: GraphConfig,
-) -> Localised | None:
-    """Find a frame that `track` has lost.
-
-    Args:
-        params: parameters of tracking.
-        tracker: before the frame.
-        features: of the frame.
-        graph: keyframes to look in.
-        config: settings of relocalisation.
-    """
-    if not graph.keyframes:
-        return None
-    return relocalise(params, features, graph, config) or search_by_surface(params, tracker, features)
-
-
-def relocalise(
-    params: TrackerParams, features: FrameFeatures, graph: KeyframeGraph, config: GraphConfig
-) -> Localised | None:
+    *,
+    seconds: float,
+) -> tuple[Localised | None, Suspicion]:
     """Look for a frame in the keyframes whose images look most like it.
 
+    A place that the camera can have reached since its last pose is believed at once. Two rooms may look the
+    same, so any other is believed only if two keyframes agree on it, none contradicts them, and the frames
+    before have been found there too.
+
     Args:
         params: parameters of tracking.
+        tracker: after the frame was lost.
         features: of the frame.
-        graph: keyframes to look in.
+        graph: keyframes to look in, at least one.
         config: settings.
+        seconds: since the frame before; 0 if unknown.
+
+    Returns:
+        Where it was found, and where it may be if later frames confirm that.
     """
     if not np.asarray(features.keypoints.features.valid).any():
-        return None
+        return None, NO_SUSPICION
     alike = keyframe_similarities(graph.keyframes, features)
     order = np.argsort(-alike, kind="stable")[: config.relocalisation_candidates]
+    last, since = np.asarray(tracker.T_world_cam.wxyz_xyz), float(tracker.since_tracked)
+    found: list[Localised] = []
+    poses: list[Float[np.ndarray, "7"]] = []
+    T = se3.matrices_of(graph.poses)
     for number in map(int, order):
         target = features_in_use(params, graph.keyframes[number])
-        found = register(params, features, target, se3.identity())
-        if supports_relocalisation(found, config):
-            pose = graph.poses[number]
-            return Localised(number, target, pose, found, False, True)
-    return None
+        registration = register(params, features, target, se3.identity())
+        if not supports_relocalisation(registration, config):
+            continue
+        found.append(Localised(number, target, graph.poses[number], registration, False, True))
+        T_keyframe_cam = se3.matrices_of(np.asarray(registration.T_target_source.wxyz_xyz)[None])[0]
+        poses.append(se3.parameters_of((T[number] @ T_keyframe_cam)[None])[0])
+        if is_reachable(poses[-1], last, since, config):
+            return found[-1], NO_SUSPICION
+    places = [(pose, place.registration) for pose, place in zip(poses, found, strict=True)]
+    best = undisputed(places, params.config.max_disagreement)
+    if best is None:
+        return None, NO_SUSPICION
+    suspicion = strengthened(tracker.suspicion, poses[best], seconds, config)
+    return (found[best] if int(suspicion.frames) >= config.relocalisation_frames else None), suspicion
 
 
 def search_by_surface(params: TrackerParams, tracker: Tracker, features: FrameFeatures) -> Localised | None:

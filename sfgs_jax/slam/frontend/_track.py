@@ -333,6 +333,7 @@ def _moved(
             t.lost_in_a_row,
             t.motion_model_frames,
             t.motion_model_travel,
+            t.suspicion.frames,
         ),
         after,
         (
@@ -343,6 +344,7 @@ def _moved(
             jnp.where(tracked, 0, tracker.lost_in_a_row + 1),
             _counted(tracker.motion_model_frames, 1, by_model, tracked),
             _counted(tracker.motion_model_travel, extent(predicted), by_model, tracked),
+            jnp.where(tracked, 0, tracker.suspicion.frames),
         ),
     )
 

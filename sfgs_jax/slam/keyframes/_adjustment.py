@@ -24,7 +24,7 @@ from sfgs_jax.sensors import corrected_depth, grid_shares
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._covariances import best_known
 from sfgs_jax.slam.keyframes._edges import relative_poses
-from sfgs_jax.slam.keyframes._landmarks import chosen, positions
+from sfgs_jax.slam.keyframes._landmarks import chosen, positions, thinned
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
 
@@ -130,7 +130,7 @@ def window_of(
         free_poses=_free(graph, place, members, size),
         free_landmarks=np.arange(config.max_landmarks) < len(landmarks),
         linear_solver="dense",
-        capacities=Capacities.for_window(landmarks=config.max_landmarks, poses=size),
+        capacities=_capacities(config),
     )
     offsets = np.zeros((size, len(graph.offsets)), np.float32)
     offsets[:count] = [graph.offsets - graph.keyframes[number].offsets for number in members]
@@ -142,6 +142,10 @@ def window_of(
         np.pad(landmarks, (0, config.max_landmarks - len(landmarks)), constant_values=-1),
         offsets,
     )
+
+
+def _capacities(config: GraphConfig) -> Capacities:
+    return Capacities.for_window(landmarks=config.max_landmarks, poses=config.window)
 
 
 def _members(graph: KeyframeGraph, size: int, around: int) -> Int[np.ndarray, " w"]:
@@ -218,8 +222,10 @@ def _observations(
     numbers, index = chosen(row, shown[row, slot], config.max_landmarks)
     # The best landmarks first: where there are too many observations, the others lose theirs.
     order = np.argsort(np.where(index >= 0, index, config.max_landmarks), kind="stable")
+    order = order[: (index >= 0).sum()]
+    # One that more keyframes see than a cluster holds would make every cluster larger, and a new program.
     room = _OBSERVATIONS * config.max_landmarks
-    order = order[: min(room, int((index >= 0).sum()))]
+    order = order[thinned(index[order], _capacities(config).cluster_poses)][:room]
     row, slot, index = row[order], slot[order], index[order]
     pixels = np.stack([np.asarray(k.features.keypoints.features.keypoints) for k in keyframes])[row, slot]
     depth = np.stack([np.asarray(k.features.keypoints.depth) for k in keyframes])[row, slot]

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph, Landmarks
@@ -125,3 +125,16 @@ def chosen(
     place = np.full(len(numbers), -1)
     place[kept] = np.arange(len(kept))
     return numbers[kept], place[inverse]
+
+
+def thinned(landmarks: Int[np.ndarray, " n"], most: int) -> Bool[np.ndarray, " n"]:
+    """Observations that are left where a landmark that is seen often keeps some, spread evenly.
+
+    Args:
+        landmarks: landmark of each observation; those of one lie together, by keyframe.
+        most: observations that a landmark keeps.
+    """
+    starts = np.searchsorted(landmarks, landmarks)
+    count = np.searchsorted(landmarks, landmarks, side="right") - starts
+    kept, place = np.minimum(most, count), np.arange(len(landmarks)) - starts
+    return (place + 1) * kept // count > place * kept // count

@@ -40,6 +40,18 @@ class TrackerParams(eqx.Module):
     config: TrackingConfig = eqx.field(static=True)
 
 
+class Suspicion(eqx.Module):
+    """A place out of reach of the last pose where the newest frames, all of them lost, look like being.
+
+    Attributes:
+        pose: (7,) `T_world_cam` of the newest of them there, as wxyz_xyz.
+        frames: frames in a row that were found there; 0 without such a place.
+    """
+
+    pose: Float[Array | np.ndarray, "7"]
+    frames: Int[Array | np.ndarray, ""]
+
+
 class Tracker(eqx.Module):
     """State of the tracker after a frame.
 
@@ -67,6 +79,7 @@ class Tracker(eqx.Module):
         motion_model_frames: newest frames in a row whose pose rests on the motion model in part.
         motion_model_travel: motion that the model added up to over these, metres or radians, the larger.
         timing: what the frames said about the times of the rows.
+        suspicion: where the newest frames may be, if more of them confirm it.
     """
 
     references: FrameFeatures
@@ -88,6 +101,7 @@ class Tracker(eqx.Module):
     motion_model_frames: Int[Array, ""]
     motion_model_travel: Float[Array, ""]
     timing: TimingInformation
+    suspicion: Suspicion
 
     @property
     def T_world_cam(self) -> jaxlie.SE3:
@@ -152,6 +166,7 @@ def empty_tracker(features: FrameFeatures, registration: Registration, num_refer
             _scalar(0, dtype),
             _scalar(0, dtype),
         ),
+        suspicion=Suspicion(jax.device_put(identity), _scalar(0, np.int32)),
     )
 
 
