@@ -136,7 +136,8 @@ def settle(
     # A pose that rests on the motion model in part would pass its error on to every later frame.
     firm = (source != PoseSource.MOTION_MODEL) & ~jnp.asarray(relocalised)
     could_be_keyframe = tracked & seen.registrable & firm
-    new_keyframe = could_be_keyframe & (is_first | needs_keyframe(found, params.config))
+    wanted = needs_keyframe(found, params.config) | _runs_out_of_keypoints(found, seen, params.config)
+    new_keyframe = could_be_keyframe & (is_first | wanted)
     T = jnp.where(tracked & ~is_first, found.T_target_source.wxyz_xyz, tracker.T_reference_cam.wxyz_xyz)
     sweep = _sweep(params, tracker, tracker.T_reference_cam)
     # Without an estimate no motion is ever known, that of the last frame neither.
@@ -170,6 +171,16 @@ def needs_keyframe(found: Registration, config: TrackingConfig) -> Bool[Array, "
     far = jnp.linalg.norm(moved[:3]) > config.keyframe_translation
     turned = jnp.linalg.norm(moved[3:]) > config.keyframe_rotation
     return (config.use_surface & little) | far | turned
+
+
+def _runs_out_of_keypoints(
+    found: Registration, seen: FrameFeatures, config: TrackingConfig
+) -> Bool[Array, ""]:
+    """True if few of the reference's keypoints are left, and the frame has many others."""
+    left = found.matched.num_inliers
+    by_keypoints = (found.source == PoseSource.JOINT) | (found.source == PoseSource.KEYPOINTS)
+    more = jnp.sum(seen.keypoints.measured, dtype=jnp.int32) > 2 * left
+    return by_keypoints & (left < config.keyframe_keypoints) & more
 
 
 def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
