@@ -28,6 +28,8 @@ class RunConfig:
     """Settings of the system."""
     sensors: Path | None = None
     """The sensors.json that it began with."""
+    map: Path | None = None
+    """Folder of the run whose map it went on in."""
 
 
 def to_json(config: RunConfig) -> str:

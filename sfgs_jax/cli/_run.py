@@ -32,12 +32,15 @@ from sfgs_jax.slam import (
     SlamConfig,
     TooManySkipped,
     combined,
+    kept_map,
     load_run,
     locked_folder,
+    new_session,
     prepare_folder,
     remove_storage,
     resume_folder,
     run,
+    save_run,
 )
 
 if TYPE_CHECKING:
@@ -54,6 +57,8 @@ _SHOWN = (
     "out",
     "overwrite",
     "resume",
+    "map",
+    "keep-map",
     "view",
     "realtime",
     "refine",
@@ -80,6 +85,8 @@ _EXAMPLES = (
     "sfgs-jax run my_desk --reader.stride 2 --overwrite  every second frame",
     "sfgs-jax run my_desk --resume                       go on where a run was stopped",
     "sfgs-jax run my_desk --out runs/b --config runs/my_desk/config.json",
+    "sfgs-jax run my_desk --keep-map                     for another day's recording of the same place:",
+    "sfgs-jax run my_desk_2 --map runs/my_desk",
 )
 
 _SOURCE_HELP = (
@@ -108,6 +115,10 @@ class RunOptions:
     """A config.json of an earlier run; its settings become the defaults."""
     sensors: Path | None = None
     """A sensors.json of an earlier run with the same camera; the estimates begin with its values."""
+    map: Path | None = None
+    """Folder of a run with `--keep-map`; this run goes on in its map, with its settings."""
+    keep_map: bool = False
+    """Keep all that `--map` of a later run needs: keyframes and images, a few MB for each keyframe."""
     overwrite: bool = False
     """Replace the results of an earlier run in the output folder."""
     resume: bool = False
@@ -167,14 +178,19 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
     )
     known = read_sensors(options.sensors) if options.sensors is not None else None
     path = None if options.sensors is None else options.sensors.absolute()
-    config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam, path)
+    place = None if options.map is None else options.map.absolute()
+    config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam, path, place)
     folder = options.out or Path("runs") / recording.name
+    if place is not None and place == folder.absolute():
+        raise InputError(f"{folder} holds the map to go on in: choose another folder with --out.")
     frames = play if options.realtime else frames
     with locked_folder(folder, make=not options.resume):
         if not options.resume:
             prepare_folder(folder, overwrite=options.overwrite)
         with logging_to(folder / "run.log"):
             resumed = _resumed(folder, config, recording.camera) if options.resume else None
+            if resumed is None and place is not None:
+                resumed = _in_map(place, config.slam, recording.camera)
             out = ResultFolder(folder, config, recording)
             out.begin()
             what = (options, out, resumed, frames, known)
@@ -194,13 +210,28 @@ def _open(arguments: list[str]) -> tuple[str, RunOptions, Recording]:
     if options.config is not None:
         saved = read_config(options.config)
         defaults = RunOptions(
-            dataset=saved.dataset, reader=saved.reader, slam=saved.slam, sensors=saved.sensors
+            dataset=saved.dataset,
+            reader=saved.reader,
+            slam=saved.slam,
+            sensors=saved.sensors,
+            map=saved.map,
         )
         source, options = parse_run(arguments, defaults)
         return source, options, open_recording(source, dataset=options.dataset, options=options.reader)
     recording = open_recording(source, dataset=options.dataset, options=options.reader)
-    source, options = parse_run(arguments, RunOptions(slam=PRESETS[recording.dataset]))
+    slam = PRESETS[recording.dataset] if options.map is None else _saved_config(options.map).slam
+    source, options = parse_run(arguments, RunOptions(slam=slam))
     return source, options, recording
+
+
+def _saved_config(folder: Path) -> RunConfig:
+    """The configuration of the run whose map a folder holds.
+
+    Raises:
+        InputError: it holds none.
+    """
+    kept_map(folder)
+    return read_config(folder / "config.json")
 
 
 def parse_run(arguments: list[str], defaults: RunOptions) -> tuple[str, RunOptions]:
@@ -248,6 +279,16 @@ def _resumed(folder: Path, config: RunConfig, camera: Camera) -> Run:
             f"The run in {folder} was started with other settings; pass --config {folder / 'config.json'}."
         )
     return load_run(storage, config.slam, camera)
+
+
+def _in_map(folder: Path, config: SlamConfig, camera: Camera) -> Run:
+    """A run that begins in the map of an earlier one.
+
+    Raises:
+        InputError: that has no map, another camera or other settings.
+    """
+    before = load_run(kept_map(folder), _saved_config(folder).slam, camera)
+    return Run(new_session(before.state, config))
 
 
 def _run(
@@ -304,7 +345,10 @@ def _run(
     if options.evaluate and not _evaluated(written, recording, quiet=options.quiet):
         return 1
     if written == folder:
-        remove_storage(folder)
+        if options.keep_map:
+            save_run(result, folder / STORAGE)
+        else:
+            remove_storage(folder)
     metrics = json.loads((written / "metrics.json").read_text())
     if not options.quiet:
         print(summary(metrics, written))
@@ -323,7 +367,7 @@ def _begin_log(recording: Recording, resumed: Run | None) -> None:
     for note in recording.notes:
         logger.warning(note)
     logger.info("%s: %d frames of %dx%d", recording.name, len(recording), *recording.camera.shape[::-1])
-    if resumed is not None:
+    if resumed is not None and resumed.num_frames:
         logger.info("going on after frame %d", resumed.num_frames - 1)
 
 

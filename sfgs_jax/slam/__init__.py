@@ -5,6 +5,7 @@ Users need the names of this package. Its folders export the pieces for those wh
 
 from sfgs_jax.slam._graph_results import finish as finish
 from sfgs_jax.slam._init import init as init
+from sfgs_jax.slam._new_session import new_session as new_session
 from sfgs_jax.slam._presets import PRESETS as PRESETS
 from sfgs_jax.slam.config import FeaturesConfig as FeaturesConfig
 from sfgs_jax.slam.config import GraphConfig as GraphConfig
@@ -39,6 +40,7 @@ from sfgs_jax.slam.run import Run as Run
 from sfgs_jax.slam.run import Stopwatch as Stopwatch
 from sfgs_jax.slam.run import TooManySkipped as TooManySkipped
 from sfgs_jax.slam.run import combined as combined
+from sfgs_jax.slam.run import kept_map as kept_map
 from sfgs_jax.slam.run import load as load
 from sfgs_jax.slam.run import load_run as load_run
 from sfgs_jax.slam.run import locked_folder as locked_folder

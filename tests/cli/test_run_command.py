@@ -517,3 +517,25 @@ def test_help_names_the_commands(capsys):
     assert main(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(name in shown for name in ("run", "eval", "view", "doctor"))
+
+
+def test_a_run_goes_on_in_the_map_of_another(tmp_path, capsys):
+    source, lost = "synthetic:frames=48,width=96,height=72", 4
+    first, second = tmp_path / "monday", tmp_path / "tuesday"
+    assert run(source, first, "--no-evaluate", "--keep-map") == 0
+    assert (first / STORAGE).is_dir()
+    assert run(source, second, "--no-evaluate", "--map", str(first)) == 0
+    assert not (second / STORAGE).exists()
+    # The camera may be anywhere: five frames have to be recognised at one place.
+    poses, truth = read_tum(second / "trajectory.txt"), read_tum(second / GROUND_TRUTH_FILE)
+    assert len(poses) == len(truth) - lost
+    expected = (np.linalg.inv(truth.poses[0]) @ truth.poses[lost:])[:, :3, 3]
+    np.testing.assert_allclose(poses.positions, expected, atol=0.02)
+    before, after = (len(load_ply(folder / "map.ply").means) for folder in (first, second))
+    assert after >= before
+    assert json.loads((second / "config.json").read_text())["map"] == str(first)
+    capsys.readouterr()
+    assert run(source, first, "--map", str(first), "--overwrite") == 2
+    assert "choose another folder" in capsys.readouterr().err
+    assert run(source, tmp_path / "third", "--map", str(second)) == 2
+    assert "--keep-map" in capsys.readouterr().err

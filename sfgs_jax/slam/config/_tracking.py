@@ -129,8 +129,8 @@ class TrackingConfig:
     keyframe_inlier_fraction: float = 0.7
     """Share of surface inliers below which a new keyframe is taken."""
     keyframe_keypoints: int = 40
-    """Keypoint inliers below which a new keyframe is taken, if it has twice as many keypoints with depth. With
-    half of that number a pose no longer rests on keypoints, and may be lost."""
+    """Keypoint inliers below which a new keyframe is taken, if it has twice as many keypoints with depth.
+    With half of that number a pose no longer rests on keypoints, and may be lost."""
     keyframe_translation: float = 0.3
     """Distance from the reference beyond which a new keyframe is taken, metres."""
     keyframe_rotation: float = 0.35

@@ -127,7 +127,9 @@ def relocalise(
         return None, NO_SUSPICION
     alike = keyframe_similarities(graph.keyframes, features)
     order = np.argsort(-alike, kind="stable")[: config.relocalisation_candidates]
-    last, since = np.asarray(tracker.T_world_cam.wxyz_xyz), float(tracker.since_tracked)
+    begun = int(tracker.reference_keyframes[tracker.current]) >= 0
+    last = np.asarray(tracker.T_world_cam.wxyz_xyz) if begun else None
+    since = float(tracker.since_tracked)
     found: list[Localised] = []
     poses: list[Float[np.ndarray, "7"]] = []
     T = se3.matrices_of(graph.poses)
@@ -139,7 +141,7 @@ def relocalise(
         found.append(Localised(number, target, graph.poses[number], registration, False, True))
         T_keyframe_cam = se3.matrices_of(np.asarray(registration.T_target_source.wxyz_xyz)[None])[0]
         poses.append(se3.parameters_of((T[number] @ T_keyframe_cam)[None])[0])
-        if is_reachable(poses[-1], last, since, config):
+        if last is not None and is_reachable(poses[-1], last, since, config):
             return found[-1], NO_SUSPICION
     places = [(pose, place.registration) for pose, place in zip(poses, found, strict=True)]
     best = undisputed(places, params.config.max_disagreement)

@@ -12,6 +12,7 @@ from sfgs_jax.slam.run._folder_lock import locked_folder as locked_folder
 from sfgs_jax.slam.run._outputs import GROUND_TRUTH_FILE as GROUND_TRUTH_FILE
 from sfgs_jax.slam.run._outputs import OUTPUT_FILES as OUTPUT_FILES
 from sfgs_jax.slam.run._outputs import STORAGE as STORAGE
+from sfgs_jax.slam.run._outputs import kept_map as kept_map
 from sfgs_jax.slam.run._outputs import prepare_folder as prepare_folder
 from sfgs_jax.slam.run._outputs import remove_storage as remove_storage
 from sfgs_jax.slam.run._outputs import resume_folder as resume_folder

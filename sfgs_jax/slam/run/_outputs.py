@@ -41,7 +41,7 @@ GROUND_TRUTH_FILE = "groundtruth.txt"
 """Poses that the recording knows, beside the run's own; written where there are any."""
 
 STORAGE = "state"
-"""Folder within the run's own, for what it goes on from after a stop; removed at its end."""
+"""Folder within the run's own, for what it goes on from after a stop; removed at its end, unless kept."""
 
 
 def prepare_folder(folder: Path, *, overwrite: bool) -> None:
@@ -99,6 +99,23 @@ def resume_folder(folder: Path) -> Path:
         remove_unfinished(storage, "*.safetensors")
     except OSError as error:
         raise InputError(f"The output folder {folder} cannot be written ({error.strerror}).") from error
+    return storage
+
+
+def kept_map(folder: Path) -> Path:
+    """The storage of a run that was kept at its end, for `load_run` and another recording.
+
+    Args:
+        folder: of the run.
+
+    Raises:
+        InputError: it holds none.
+    """
+    storage = folder / STORAGE
+    if not (storage / STATE_FILE).exists():
+        raise InputError(
+            f"{folder} holds no map that a run could go on in: run its recording with --keep-map first."
+        )
     return storage
 
 

@@ -35,7 +35,9 @@ from sfgs_jax.slam.state._slam_state import mapping_factor as mapping_factor
 from sfgs_jax.slam.state._step_info import Stages as Stages
 from sfgs_jax.slam.state._step_info import StepInfo as StepInfo
 from sfgs_jax.slam.state._step_info import untimed as untimed
+from sfgs_jax.slam.state._tracker import Suspicion as Suspicion
 from sfgs_jax.slam.state._tracker import Tracker as Tracker
 from sfgs_jax.slam.state._tracker import TrackerParams as TrackerParams
+from sfgs_jax.slam.state._tracker import empty_tracker as empty_tracker
 from sfgs_jax.slam.state._tracker import reference_at as reference_at
 from sfgs_jax.slam.state._tracker import with_graph_poses as with_graph_poses
