@@ -17,8 +17,8 @@ def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState
     """The state before the first frame of another recording by the same camera, in the same place.
 
     Keyframes, Gaussians and what is known about the sensors stay. The camera may be anywhere: frames are lost
-    until several in a row are recognised, and poses are then in the world of the recording before. The log of
-    frames begins anew; those from before have negative numbers.
+    until several in a row are recognised. Poses are in the world of the recording before. The log of frames
+    begins anew; those from before have negative numbers.
 
     Args:
         state: after the last frame of the recording before.

@@ -128,9 +128,9 @@ class TrackingConfig:
     then, and surfaces fit in many places. Without keypoints there is no limit."""
     keyframe_inlier_fraction: float = 0.7
     """Share of surface inliers below which a new keyframe is taken."""
-    keyframe_keypoints: int = 40
-    """Keypoint inliers below which a new keyframe is taken, if it has twice as many keypoints with depth.
-    With half of that number a pose no longer rests on keypoints, and may be lost."""
+    keyframe_margin: float = 1.5
+    """How near the keypoint inliers may come to the least with which they are believed, as a factor, before a
+    new keyframe is taken."""
     keyframe_translation: float = 0.3
     """Distance from the reference beyond which a new keyframe is taken, metres."""
     keyframe_rotation: float = 0.35
@@ -140,10 +140,11 @@ class TrackingConfig:
         """Refuse values that have no meaning."""
         # One frame may bring two keyframes.
         check_counts(self, 2, "num_references")
-        check_counts(self, 0, "max_motion_model_frames", "max_lost", "keyframe_keypoints")
+        check_counts(self, 0, "max_motion_model_frames", "max_lost")
         check_positive(self, "motion_model_sigma", "delay_sigma", "readout_sigma")
         check_positive(self, "depth_sigma", "depth_step_sigma", "depth_tilt_sigma")
         check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
         check_range(self, 0, 1, "keyframe_inlier_fraction")
         check_range(self, 0, math.inf, "max_correction_alone", "search_angle", "max_disagreement")
+        check_range(self, 0, math.inf, "keyframe_margin")
         check_range(self, 0, math.inf, "max_motion_model_travel", "keyframe_translation", "keyframe_rotation")

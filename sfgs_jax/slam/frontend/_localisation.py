@@ -109,8 +109,8 @@ def relocalise(
     """Look for a frame in the keyframes whose images look most like it.
 
     A place that the camera can have reached since its last pose is believed at once. Two rooms may look the
-    same, so any other is believed only if two keyframes agree on it, none contradicts them, and the frames
-    before have been found there too.
+    same, so elsewhere two keyframes have to agree, and none may contradict them. Frames before must have been
+    found there too.
 
     Args:
         params: parameters of tracking.

@@ -29,8 +29,9 @@ def is_reachable(
 
 
 def undisputed(places: Sequence[tuple[Float[np.ndarray, "7"], Registration]], tolerance: float) -> int | None:
-    """Number of the place with the most inliers, if one other keyframe at least puts the camera there too,
-    and none elsewhere with half as many; None without one.
+    """Number of the place with the most inliers; None without one that is certain enough.
+
+    Another keyframe has to put the camera there too, and none may put it elsewhere with half as many inliers.
 
     Args:
         places: pose of the camera by each keyframe that a frame fits to, as wxyz_xyz, and the registration.

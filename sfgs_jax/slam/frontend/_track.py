@@ -176,11 +176,17 @@ def needs_keyframe(found: Registration, config: TrackingConfig) -> Bool[Array, "
 def _runs_out_of_keypoints(
     found: Registration, seen: FrameFeatures, config: TrackingConfig
 ) -> Bool[Array, ""]:
-    """True if few of the reference's keypoints are left, and the frame has many others."""
-    left = found.matched.num_inliers
+    """True if the reference's keypoints will soon be too few to be believed, and the frame has many others.
+
+    A pose that they no longer support makes no keyframe, so it has to be taken before.
+    """
+    left, features = found.matched.num_inliers, config.features
+    # Where the surface leaves a direction free, the keypoints decide alone.
+    share = jnp.where(found.num_free > 0, features.min_inlier_share_alone, 0)
+    least = jnp.maximum(features.min_inliers_alone, share * found.matched.num_matches)
     by_keypoints = (found.source == PoseSource.JOINT) | (found.source == PoseSource.KEYPOINTS)
     more = jnp.sum(seen.keypoints.measured, dtype=jnp.int32) > 2 * left
-    return by_keypoints & (left < config.keyframe_keypoints) & more
+    return by_keypoints & (left < config.keyframe_margin * least) & more
 
 
 def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
