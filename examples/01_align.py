@@ -40,7 +40,7 @@ def main(width: int = 320, height: int = 240, picture: str | None = None) -> dic
     if picture is not None:  # both clouds from above, before and after
         points = [surface(recording[i].depth, recording.camera) for i in (a, b)]
         here, there = (cloud.points[cloud.valid] for cloud in points)
-        figure = Figure(figsize=(9, 4), layout="constrained")
+        figure = Figure(figsize=(9, 2.8), layout="constrained")
         moved_there = se3.transform(result.T_target_source, there)
         for axes, cloud, title in zip(
             figure.subplots(1, 2), (there, moved_there), ("before", "after"), strict=True
