@@ -10,7 +10,7 @@ from jaxtyping import Float
 from sfgs_jax.arrays import InputError
 from sfgs_jax.splatting import contents_of, load_coloured_points
 from sfgs_jax.splatting.mesh import Mesh, linear_light, load_mesh
-from sfgs_jax.viewer._server import announce, page_address, start_server, wait_for_interrupt
+from sfgs_jax.viewer._server import announce, embedded, page_address, start_server, wait_for_interrupt
 
 _UP, _AHEAD = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 """Of the axes of a map: y down, z forward."""
@@ -62,7 +62,7 @@ class ModelScene:
 
     def _repr_html_(self) -> str:
         """The page in a notebook's cell."""
-        return f'<iframe src="{self.url}" width="100%" height="600" style="border: none"></iframe>'
+        return embedded(self.url)
 
     def close(self) -> None:
         """Stop the server."""

@@ -30,6 +30,11 @@ def page_address(server: viser.ViserServer) -> str:
     return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{server.get_port()}"
 
 
+def embedded(url: str) -> str:
+    """HTML that shows a page in a notebook's cell."""
+    return f'<iframe src="{url}" width="100%" height="600" style="border: none"></iframe>'
+
+
 def announce(path: Path, url: str, host: str, *, open_browser: bool) -> None:
     """Print where the page is and who can open it, and open it if that is wanted.
 
