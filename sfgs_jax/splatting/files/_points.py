@@ -64,7 +64,8 @@ def load_coloured_points(
     names = vertices.dtype.names or ()
     if not len(vertices) or not {"x", "y", "z"} <= set(names):
         raise InputError(f"{path} holds no points.")
-    places = np.stack([np.asarray(vertices[name], np.float64) for name in "xyz"], axis=1)
+    with np.errstate(invalid="ignore"):  # damaged numbers are refused below
+        places = np.stack([np.asarray(vertices[name], np.float64) for name in "xyz"], axis=1)
     if not np.all(np.abs(places) < _FARTHEST):
         raise InputError(f"{path} has a point that is not finite or beyond {_FARTHEST:g} m.")
     channels = ("red", "green", "blue")

@@ -12,6 +12,9 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 
 from sfgs_jax.arrays import InputError, excerpt, write_atomically
 
+_FARTHEST = 1e7
+"""Metres. A larger number is damage."""
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -91,8 +94,8 @@ def load_mesh(path: Path | str) -> Mesh:
     if not isinstance(joined, trimesh.Trimesh) or not len(joined.faces):
         raise InputError(f"{path} has no triangle: it is no mesh.")
     vertices, triangles = np.asarray(joined.vertices, np.float64), np.asarray(joined.faces, np.int64)
-    if not np.all(np.isfinite(vertices)) or triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise InputError(f"{path} has a corner that is not finite or not there; the file is damaged.")
+    if not np.all(np.abs(vertices) < _FARTHEST) or triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise InputError(f"{path} has a corner that is not finite, too far away or not there: it is damaged.")
     glb = path.suffix.lower() == ".glb"
     visual = joined.visual
     textured = isinstance(visual, TextureVisuals)
