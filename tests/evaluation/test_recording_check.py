@@ -201,6 +201,18 @@ def test_repeated_depth_and_missing_depth_are_named(copy):
     assert "depth coverage" in check(copy)[1]
 
 
+def test_depth_of_8_bits_is_named_and_a_bare_wall_is_not(copy):
+    """Both have few different depths, but only a picture has even steps."""
+    change_images(copy, "depth", lambda image: np.round(image / 39.2).astype(np.uint16) * 39)
+    findings, warnings = check(copy)
+    assert warnings == ["depth coverage"]
+    assert "even steps" in findings["depth coverage"].message
+    wall = SyntheticRecording(num_frames=20, width=80, height=60, place="wall", noise=True)
+    found = {finding.question: finding for finding in check_recording(wall).findings}
+    assert found["depth coverage"].severity == "good"
+    assert found["depth coverage"].evidence["different depths"] < 150
+
+
 def test_a_still_camera_leaves_questions_open(good, tmp_path):
     """Nothing of motion can be told, and nothing is guessed."""
     still = shutil.copytree(good, tmp_path / "still")
