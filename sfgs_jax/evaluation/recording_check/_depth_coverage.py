@@ -42,7 +42,7 @@ def check_coverage(sample: RecordingSample) -> Finding:
         return Finding(
             "depth coverage",
             "warning",
-            f"Depth has only {len(values)} different values, in even steps, in all frames; a sensor gives hundreds.",
+            f"Depth has only {len(values)} different values, in even steps; a sensor gives hundreds.",
             "Save the sensor's 16-bit depth, not a picture of it with 8 bits.",
             evidence,
         )
