@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.splatting import contents_of, load_coloured_points
-from sfgs_jax.splatting.mesh import Mesh, linear_light, load_mesh
+from sfgs_jax.splatting.mesh import Mesh, load_mesh
 from sfgs_jax.viewer._server import announce, embedded, page_address, start_server, wait_for_interrupt
 
 _UP, _AHEAD = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
@@ -37,8 +37,7 @@ class ModelScene:
         self.server = server
         if isinstance(model, Mesh):
             corners, count = model.vertices, f"{len(model.triangles):,} triangles"
-            # Browsers take the colours of vertices for linear light.
-            levels = np.round(255 * np.clip(linear_light(model.rgb), 0, 1)).astype(np.uint8)
+            levels = np.round(255 * np.clip(model.rgb, 0, 1)).astype(np.uint8)
             shape = trimesh.Trimesh(corners, model.triangles, vertex_colors=levels, process=False)
             self.node: viser.SceneNodeHandle = server.scene.add_mesh_trimesh("/model", shape)
         else:

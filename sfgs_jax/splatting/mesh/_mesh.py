@@ -67,7 +67,7 @@ def save_mesh(path: Path | str, mesh: Mesh) -> None:
     surface = trimesh.Trimesh(
         vertices=mesh.vertices * ([1, -1, -1] if glb else [1, 1, 1]),
         faces=mesh.triangles,
-        vertex_colors=_levels(linear_light(mesh.rgb) if glb else mesh.rgb),
+        vertex_colors=_levels(_linear_light(mesh.rgb) if glb else mesh.rgb),
         process=False,
     )
     data = surface.export(file_type=kind)
@@ -112,12 +112,8 @@ def _levels(rgb: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
     return np.round(255 * np.clip(rgb, 0, 1)).astype(np.uint8)
 
 
-def linear_light(rgb: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Intensities of sRGB values.
-
-    Args:
-        rgb: values from 0 to 1.
-    """
+def _linear_light(rgb: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Intensities of sRGB values."""
     return np.where(rgb <= 0.04045, rgb / 12.92, ((np.maximum(rgb, 0) + 0.055) / 1.055) ** 2.4)
 
 
