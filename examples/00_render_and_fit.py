@@ -3,12 +3,16 @@
 The Gaussians start on the depth image of one frame, all of them grey. Adam then fits every parameter to the
 frame's colours. A second frame, which takes no part in the fit, shows that the scene itself got better.
 
-    python examples/00_render_and_fit.py
+    python examples/00_render_and_fit.py [PICTURE.png]
 """
 
+import sys
+
+import cv2
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from sfgs_jax import datasets, splatting
@@ -16,7 +20,9 @@ from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3, surface
 
 
-def main(width: int = 160, height: int = 120, steps: int = 100) -> dict[str, float]:
+def main(
+    width: int = 160, height: int = 120, steps: int = 100, picture: str | None = None
+) -> dict[str, float]:
     recording = datasets.SyntheticRecording(num_frames=60, width=width, height=height)
     camera, poses = recording.camera, recording.ground_truth.poses
     fitted, held_out = recording[0], recording[2]
@@ -37,9 +43,8 @@ def main(width: int = 160, height: int = 120, steps: int = 100) -> dict[str, flo
     room = max(splatting.pair_capacity(gaussians, camera, T, headroom=1.5) for _, T in views)
     config = splatting.RenderConfig(pair_capacity=room)
 
-    def quality(gaussians, view):
-        rgb, T_world_cam = view
-        return float(psnr(splatting.render(gaussians, camera, T_world_cam, config=config).rgb, rgb))
+    def drawn(gaussians):
+        return [splatting.render(gaussians, camera, T, config=config).rgb for _, T in views]
 
     optimiser = optax.adam(1e-2)
 
@@ -53,11 +58,20 @@ def main(width: int = 160, height: int = 120, steps: int = 100) -> dict[str, flo
         updates, moments = optimiser.update(gradients, moments)
         return eqx.apply_updates(gaussians, updates), moments
 
-    before = [quality(gaussians, view) for view in views]
+    first = drawn(gaussians)
     moments = optimiser.init(eqx.filter(gaussians, eqx.is_inexact_array))
     for _ in range(steps):
         gaussians, moments = step(gaussians, moments)
-    after = [quality(gaussians, view) for view in views]
+    last = drawn(gaussians)
+    before, after = (
+        [float(psnr(a, rgb)) for a, (rgb, _) in zip(n, views, strict=True)] for n in (first, last)
+    )
+    if picture is not None:  # a row for each view: before, after, and the frame itself
+        rows = [
+            jnp.concatenate([a, b, rgb], axis=1) for a, b, (rgb, _) in zip(first, last, views, strict=True)
+        ]
+        image = np.clip(np.asarray(jnp.concatenate(rows)), 0, 1)
+        cv2.imwrite(picture, np.round(255 * image[..., ::-1]).astype(np.uint8))
     print(f"{int(gaussians.valid.sum())} Gaussians, {steps} steps")
     print(f"fitted view:   {before[0]:.1f} dB before, {after[0]:.1f} dB after")
     print(f"held-out view: {before[1]:.1f} dB before, {after[1]:.1f} dB after")
@@ -70,4 +84,4 @@ def main(width: int = 160, height: int = 120, steps: int = 100) -> dict[str, flo
 
 
 if __name__ == "__main__":
-    main()
+    main(picture=sys.argv[1] if len(sys.argv) > 1 else None)

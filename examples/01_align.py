@@ -3,17 +3,20 @@
 The two frames are five apart in a synthetic recording with the noise of a Kinect, whose exact poses tell the
 error. The inverse of the information matrix is the covariance of the motion.
 
-    python examples/01_align.py
+    python examples/01_align.py [PICTURE.png]
 """
+
+import sys
 
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 
 from sfgs_jax import datasets, gicp
-from sfgs_jax.geometry import se3
+from sfgs_jax.geometry import se3, surface
 
 
-def main(width: int = 320, height: int = 240) -> dict[str, float]:
+def main(width: int = 320, height: int = 240, picture: str | None = None) -> dict[str, float]:
     recording = datasets.SyntheticRecording(num_frames=120, width=width, height=height, noise=True)
     poses = recording.ground_truth.poses
     a, b = 0, 5
@@ -34,6 +37,18 @@ def main(width: int = 320, height: int = 240) -> dict[str, float]:
     print(f"{result.inlier_fraction:.0%} of the points lie on the target, to {1000 * result.rmse:.1f} mm")
     print(f"error {off_cm:.2f} cm and {off_deg:.3f} degrees")
     print(f"by its covariance {sigma_cm:.2f} cm in the least certain direction")
+    if picture is not None:  # both clouds from above, before and after
+        points = [surface(recording[i].depth, recording.camera) for i in (a, b)]
+        here, there = (cloud.points[cloud.valid] for cloud in points)
+        figure = Figure(figsize=(9, 2.8), layout="constrained")
+        moved_there = se3.transform(result.T_target_source, there)
+        for axes, cloud, title in zip(
+            figure.subplots(1, 2), (there, moved_there), ("before", "after"), strict=True
+        ):
+            axes.plot(here[:, 0], here[:, 2], ",", color="#2563eb")
+            axes.plot(cloud[:, 0], cloud[:, 2], ",", color="#dc2626")
+            axes.set(title=title, xlabel="x (m)", ylabel="z (m)", aspect="equal")
+        figure.savefig(picture)
     return {
         "moved_cm": 100 * moved,
         "error_cm": off_cm,
@@ -45,4 +60,4 @@ def main(width: int = 320, height: int = 240) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    main()
+    main(picture=sys.argv[1] if len(sys.argv) > 1 else None)

@@ -4,8 +4,10 @@ A camera walks a circle twice. Its odometry drifts; on the second lap each pose 
 pose of the lap before. `solve` finds the poses that agree best with all measurements, and
 `marginal_covariances` says how certain they are. (`solve_implicit` is the same solve with a gradient.)
 
-    python examples/02_pose_graph.py
+    python examples/02_pose_graph.py [PICTURE.svg]
 """
+
+import sys
 
 import jax.numpy as jnp
 import jaxlie
@@ -24,7 +26,7 @@ def circle(count: int) -> jaxlie.SE3:
     return se3.exp(jnp.arange(count, dtype=jnp.float32)[:, None] * step[None])
 
 
-def main() -> dict[str, float]:
+def main(picture: str | None = None) -> dict[str, float]:
     count = 2 * LAP
     truth = circle(count)
     chain = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
@@ -57,6 +59,8 @@ def main() -> dict[str, float]:
     print(f"{solution.status} after {int(solution.iterations)} iterations")
     print(f"error {before:.1f} cm by odometry, {after:.1f} cm with the loops")
     print(f"half a lap away: {off_cm:.1f} cm off, where its covariance says {sigma_cm:.1f} cm (one sigma)")
+    if picture is not None:
+        factor_graph.plot_graph(graph, start, solution.values, picture)
     return {
         "odometry_cm": before,
         "solved_cm": after,
@@ -67,4 +71,4 @@ def main() -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    main()
+    main(picture=sys.argv[1] if len(sys.argv) > 1 else None)

@@ -4,20 +4,22 @@ The camera is believed to have a focal length 5 % too long, which turns and shif
 Between two frames the true motion is known. The derivative of the pose by the intrinsics, through keypoints,
 depth and registration, gives Gauss-Newton steps to the focal length at which tracking finds that motion.
 
-    python examples/06_gradient_through_tracking.py
+    python examples/06_gradient_through_tracking.py [PICTURE.svg]
 """
 
+import sys
 from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 
 from sfgs_jax import datasets, gicp, slam
 from sfgs_jax.geometry import se3
 
 
-def main(width: int = 160, height: int = 120, steps: int = 5) -> dict[str, float]:
+def main(width: int = 160, height: int = 120, steps: int = 5, picture: str | None = None) -> dict[str, float]:
     recording = datasets.SyntheticRecording(num_frames=120, width=width, height=height)
     poses, ends = recording.ground_truth.poses, (0, 6)
     truth = se3.from_matrix(np.linalg.inv(poses[ends[0]]) @ poses[ends[1]])
@@ -43,13 +45,22 @@ def main(width: int = 160, height: int = 120, steps: int = 5) -> dict[str, float
 
     error_and_slope = jax.jit(lambda scale: jax.jvp(error, (scale,), (jnp.ones(()),)))
     scale = first = jnp.float32(1.05)
+    scales = [float(first)]
     for step in range(steps):
         off, slope = error_and_slope(scale)
         print(f"step {step}: focal length x {scale:.4f}, pose {1000 * jnp.linalg.norm(off[:3]):.1f} mm off")
         scale = scale - slope @ off / (slope @ slope)
+        scales.append(float(scale))
     print(f"after {steps} steps: focal length x {scale:.4f}")
+    if picture is not None:
+        figure = Figure(figsize=(6, 3), layout="constrained")
+        axes = figure.subplots()
+        axes.plot(scales, "o-", color="#2563eb")
+        axes.axhline(1, color="#94a3b8")
+        axes.set(xlabel="step", ylabel="focal length / true one", xticks=range(steps + 1))
+        figure.savefig(picture)
     return {"first_error": abs(float(first) - 1), "last_error": abs(float(scale) - 1)}
 
 
 if __name__ == "__main__":
-    main()
+    main(picture=sys.argv[1] if len(sys.argv) > 1 else None)

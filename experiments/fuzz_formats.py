@@ -26,6 +26,7 @@ from sfgs_jax.datasets import ReaderOptions, open_recording, read_pair_list, rea
 from sfgs_jax.evaluation.images import PROTOCOLS, FrameFigures, format_frames, read_frames
 from sfgs_jax.geometry import read_covariances, read_tum
 from sfgs_jax.slam.run import read_tensors, write_tensors
+from sfgs_jax.splatting.mesh import Mesh, load_mesh, save_mesh
 
 _WIDTH, _HEIGHT = 24, 16
 _CAMERA = {"fx": 20.0, "fy": 20.0, "cx": 11.5, "cy": 7.5}
@@ -280,6 +281,17 @@ def _single_files() -> dict[str, Format]:
         "splat PLY": ("map.ply", _written(splatting.save_ply, gaussians), _gaussians(splatting.load_ply)),
         ".splat": ("map.splat", _written(splatting.save_splat, gaussians), _gaussians(splatting.load_splat)),
         "SPZ": ("map.spz", _written(splatting.save_spz, gaussians), _gaussians(splatting.load_spz)),
+        "glTF with splats": (
+            "map.glb",
+            _written(splatting.save_gltf, gaussians),
+            _gaussians(splatting.load_gltf),
+        ),
+        "glTF, a mesh": ("mesh.glb", _mesh_glb(points), lambda path: judged(load_mesh(path).vertices)),
+        "coloured points": (
+            "points.ply",
+            _written(splatting.save_points, gaussians),
+            lambda path: judged(splatting.load_coloured_points(path)[0]),
+        ),
         "SPZ, within gzip": (
             "map.raw",
             gzip.decompress(_written(splatting.save_spz, gaussians)),
@@ -344,6 +356,13 @@ def _written(save: Callable[[Path, Any], None], value: Any) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         save(Path(folder) / "file", value)
         return (Path(folder) / "file").read_bytes()
+
+
+def _mesh_glb(points: np.ndarray) -> bytes:
+    mesh = Mesh(points, np.array([[0, 1, 2], [3, 4, 5]]), np.full(points.shape, 0.5))
+    with tempfile.TemporaryDirectory() as folder:
+        save_mesh(path := Path(folder) / "mesh.glb", mesh)
+        return path.read_bytes()
 
 
 def _gaussians(load: Callable[[Path], splatting.Gaussians]) -> Callable[[Path], None]:

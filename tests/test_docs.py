@@ -41,3 +41,19 @@ def test_every_dependency_has_its_reason():
     for name in re.findall(r'"([A-Za-z-]+)', block):
         if name != "jaxlib":
             assert name in page, name
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("**/*.md")), ids=lambda path: path.stem)
+def test_included_files_are_there(page):
+    """A formatter that takes an include for Python pulls it apart, and the page shows a riddle."""
+    text = page.read_text(encoding="utf-8")
+    included = re.findall(r'^--8<-- "(.+)"$', text, re.MULTILINE)
+    assert text.count("--8") == len(included)
+    for name in included:
+        assert (ROOT / name).is_file(), name
+
+
+def test_every_example_is_shown_once():
+    pages = "".join(path.read_text(encoding="utf-8") for path in DOCS.glob("**/*.md"))
+    for path in (ROOT / "examples").glob("*.py"):
+        assert pages.count(f'--8<-- "examples/{path.name}"') == 1, path.name

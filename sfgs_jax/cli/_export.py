@@ -18,6 +18,7 @@ from sfgs_jax.datasets import open_recording
 from sfgs_jax.geometry import format_kitti, format_tum, read_tum
 from sfgs_jax.splatting import (
     Gaussians,
+    load_map,
     load_ply,
     map_file,
     save_gltf,
@@ -46,7 +47,7 @@ class ExportArguments:
     """Write a map, or with --poses a run, for other programs. The suffix of OUT names a map's format."""
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SOURCE")]
-    """Folder that `sfgs-jax run` wrote, or a .ply file in the layout of 3DGS."""
+    """Folder that `sfgs-jax run` wrote, or a file of Gaussians: .ply, .splat, .spz or .glb."""
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """File to write; for the poses of nerfstudio and COLMAP a new folder."""
     format: Format | None = None
@@ -89,7 +90,7 @@ def export_command(arguments: list[str]) -> int:
     source = map_file(options.source)
     write = _writer(options)
     _require_place(options.out, source, overwrite=options.overwrite)
-    gaussians = _at_least(load_ply(source), options.min_opacity)
+    gaussians = _at_least(load_map(source), options.min_opacity)
     count = int(np.sum(gaussians.valid))
     if not count:
         at_all = f" with an opacity of {options.min_opacity:g} or more" if options.min_opacity else ""

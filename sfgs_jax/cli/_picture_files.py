@@ -1,5 +1,6 @@
-"""Pictures to files: a folder of PNG images, or a video."""
+"""Pictures to files: a folder of PNG images, a video, or an animated image."""
 
+import io
 import os
 import tempfile
 from pathlib import Path
@@ -7,12 +8,18 @@ from types import TracebackType
 
 import cv2
 import numpy as np
+import PIL.Image
 from jaxtyping import Float, Shaped, UInt8, UInt16
 
 from sfgs_jax.arrays import InputError, put_in_place, write_atomically
 
 VIDEO_SUFFIX = ".mp4"
 """Ending of the videos that can be written."""
+
+ANIMATION_SUFFIXES = (".gif", ".webp")
+"""Endings of animated images, which web pages show like any other image."""
+
+_WEBP_QUALITY = 70
 
 
 class PngFolder:
@@ -94,6 +101,58 @@ class VideoFile:
                 "from its images, for example with ffmpeg."
             )
         return writer
+
+
+class AnimationFile:
+    """An animated GIF or WebP that repeats, of RGB pictures of one size; it is held in memory until the end.
+
+    GIF has 256 colours for all pictures together, WebP all colours in a smaller file.
+
+    Args:
+        path: the file, `.gif` or `.webp`; it appears when the animation is whole.
+        frames_per_second: rate. A GIF's pictures last whole hundredths of a second.
+    """
+
+    def __init__(self, path: Path, frames_per_second: float) -> None:
+        self._path, self._rate = path, frames_per_second
+        self._pictures: list[PIL.Image.Image] = []
+
+    def __enter__(self) -> "AnimationFile":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None or not self._pictures:
+            return
+        gif = self._path.suffix.lower() == ".gif"
+        first, *others = _with_one_palette(self._pictures) if gif else self._pictures
+        content = io.BytesIO()
+        first.save(
+            content,
+            format="GIF" if gif else "WEBP",
+            save_all=True,
+            append_images=others,
+            duration=round(1000 / self._rate),
+            loop=0,
+            quality=_WEBP_QUALITY,
+        )
+        write_atomically(self._path, content.getvalue())
+
+    def write(self, picture: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w"]) -> None:
+        """Add a picture."""
+        self._pictures.append(PIL.Image.fromarray(picture))
+
+
+def _with_one_palette(pictures: list[PIL.Image.Image]) -> list[PIL.Image.Image]:
+    """Pictures in 256 colours that suit a sample of them; colours that change would flicker."""
+    width, height = pictures[0].size
+    sample = pictures[:: max(1, len(pictures) // 8)]
+    strip = PIL.Image.new("RGB", (width, height * len(sample)))
+    for place, picture in enumerate(sample):
+        strip.paste(picture, (0, height * place))
+    palette = strip.quantize(256, dither=PIL.Image.Dither.NONE)
+    return [picture.quantize(palette=palette, dither=PIL.Image.Dither.NONE) for picture in pictures]
 
 
 def rgb_levels(rgb: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:

@@ -23,7 +23,9 @@ from sfgs_jax.arrays import (
 )
 from sfgs_jax.cli._log import logger
 from sfgs_jax.cli._picture_files import (
+    ANIMATION_SUFFIXES,
     VIDEO_SUFFIX,
+    AnimationFile,
     PngFolder,
     VideoFile,
     false_colours,
@@ -39,8 +41,7 @@ from sfgs_jax.splatting import (
     RenderConfig,
     Renderer,
     camera_normals,
-    load_ply,
-    map_file,
+    load_map,
     unit_normals,
 )
 
@@ -54,12 +55,12 @@ _OPAQUE = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class RenderArguments:
-    """Draw a map along a path of the camera, without a screen: numbered PNG images, or a video."""
+    """Draw a map along a path of the camera, without a screen: numbered PNG images, a video or a GIF."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN|FILE")]
-    """Folder that `sfgs-jax run` wrote, or a .ply file in the layout of 3DGS."""
+    """Folder that `sfgs-jax run` wrote, or a file of Gaussians: .ply, .splat, .spz or .glb."""
     out: Path
-    """Folder for the images, or an .mp4 file for a video."""
+    """Folder for the images, an .mp4 file for a video, or a .gif or .webp file for an animated image."""
     trajectory: Path | None = None
     """File of poses in TUM format, in the axes of the map. None takes the run's own trajectory."""
     orbit: int | None = None
@@ -89,7 +90,7 @@ class RenderArguments:
     normals: bool = False
     """Write normals too, as colours: x to the right, y up and z towards the camera."""
     fps: float = _FRAMES_PER_SECOND
-    """Images of a video per second."""
+    """Images of a video or an animated image per second."""
     overwrite: bool = False
     """Replace images or videos that exist."""
     quiet: bool = False
@@ -119,7 +120,7 @@ class RenderArguments:
 def render_command(arguments: list[str]) -> int:
     """Run the command; see RenderArguments."""
     options = tyro.cli(RenderArguments, prog="sfgs-jax render", args=arguments)
-    gaussians = load_ply(map_file(options.path))
+    gaussians = load_map(options.path)
     if not np.any(gaussians.valid):
         raise InputError(f"{options.path} holds no Gaussian: there is nothing to draw.")
     camera = camera_like(
@@ -151,7 +152,8 @@ def render_command(arguments: list[str]) -> int:
 
 
 def _is_video(out: Path) -> bool:
-    return out.suffix.lower() == VIDEO_SUFFIX
+    """Whether the pictures move in one file."""
+    return out.suffix.lower() in (VIDEO_SUFFIX, *ANIMATION_SUFFIXES)
 
 
 def _kinds(options: RenderArguments) -> list[str]:
@@ -166,8 +168,10 @@ def _place(out: Path, kind: str) -> Path:
     return out if kind == "rgb" else out.with_stem(f"{out.stem}_{kind}")
 
 
-def _file(options: RenderArguments, kind: str) -> PngFolder | VideoFile:
+def _file(options: RenderArguments, kind: str) -> PngFolder | VideoFile | AnimationFile:
     place = _place(options.out, kind)
+    if place.suffix.lower() in ANIMATION_SUFFIXES:
+        return AnimationFile(place, options.fps)
     return VideoFile(place, options.fps) if _is_video(options.out) else PngFolder(place)
 
 
@@ -177,7 +181,8 @@ def _require_place(options: RenderArguments) -> None:
     if not out.parent.is_dir():
         raise InputError(f"There is no folder {out.parent} for {out.name}; make it first.")
     if not _is_video(out) and out.suffix and not out.is_dir():
-        raise InputError(f"A video is written as {VIDEO_SUFFIX}, not as {out.suffix}; images need a folder.")
+        known = ", ".join((VIDEO_SUFFIX, *ANIMATION_SUFFIXES))
+        raise InputError(f"A video is written as {known}, not as {out.suffix}; images need a folder.")
     if _is_video(out) and out.is_dir():
         raise InputError(f"{out} is a folder; give the name of a file.")
     for kind in _kinds(options):

@@ -11,10 +11,10 @@ from sfgs_jax.cli._log import logger
 
 @dataclasses.dataclass(frozen=True)
 class ViewArguments:
-    """Show a finished run, or a file of Gaussians, in the browser."""
+    """Show a finished run, or a file of Gaussians, points or a mesh, in the browser."""
 
     path: tyro.conf.Positional[Path]
-    """Folder that `sfgs-jax run` wrote, or a .ply, .splat or .spz file."""
+    """Folder that `sfgs-jax run` wrote, or a .ply, .splat, .spz or .glb file."""
     port: int = 8080
     """Port of the web server. The next free port is taken if it is in use; 0 takes any free one."""
     host: str = "127.0.0.1"
@@ -35,7 +35,12 @@ def view_command(arguments: list[str]) -> int:
     """Run the command; see ViewArguments."""
     options = tyro.cli(ViewArguments, prog="sfgs-jax view", args=arguments)
     # The web server is imported only where it is needed.
-    from sfgs_jax.viewer import view_run
+    from sfgs_jax.splatting import contents_of
+    from sfgs_jax.viewer import view_model, view_run
+
+    if options.path.is_file() and contents_of(options.path) != "splats":
+        view_model(options.path, port=options.port, host=options.host, open_browser=options.open)
+        return 0
 
     try:
         enable_cache()

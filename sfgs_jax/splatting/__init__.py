@@ -25,6 +25,10 @@ from sfgs_jax.splatting._sorting import sort_by_tile_and_depth as sort_by_tile_a
 from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh as rgb_to_sh
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb as sh_to_rgb
 from sfgs_jax.splatting.files import coloured_points as coloured_points
+from sfgs_jax.splatting.files import contents_of as contents_of
+from sfgs_jax.splatting.files import load_coloured_points as load_coloured_points
+from sfgs_jax.splatting.files import load_gltf as load_gltf
+from sfgs_jax.splatting.files import load_map as load_map
 from sfgs_jax.splatting.files import load_ply as load_ply
 from sfgs_jax.splatting.files import load_splat as load_splat
 from sfgs_jax.splatting.files import load_spz as load_spz

@@ -13,9 +13,7 @@ from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
 from sfgs_jax.evaluation import PosedFrames, posed_frames
 from sfgs_jax.geometry import Camera, Frame, Trajectory, read_covariances, read_tum
 from sfgs_jax.sensors import RollingShutter
-from sfgs_jax.splatting import Gaussians, load_ply, load_splat, load_spz, map_file
-
-_LOADERS = {".ply": load_ply, ".splat": load_splat, ".spz": load_spz}
+from sfgs_jax.splatting import Gaussians, load_map
 
 _NOTHING = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
 
@@ -88,12 +86,12 @@ def open_finished_run(path: Path) -> FinishedRun:
     """Read a run's folder, or a file of Gaussians.
 
     Args:
-        path: folder that a run wrote, or a .ply, .splat or .spz file.
+        path: folder that a run wrote, or a .ply, .splat, .spz or .glb file.
 
     Raises:
         InputError: there is no map, a file is damaged, or its suffix names no format.
     """
-    gaussians = _load_map(map_file(path))
+    gaussians = load_map(path)
     if path.is_file():
         return FinishedRun(path.name, gaussians)
     trajectory, keyframes = (
@@ -112,14 +110,6 @@ def open_finished_run(path: Path) -> FinishedRun:
         frames=frames,
         notes=tuple(notes),
     )
-
-
-def _load_map(path: Path) -> Gaussians:
-    load = _LOADERS.get(path.suffix.lower())
-    if load is None:
-        known = ", ".join(_LOADERS)
-        raise InputError(f"The suffix of {path} is none that the viewer reads: {known}, or a run's folder.")
-    return load(path)
 
 
 def _recorded_frames(path: Path, trajectory: Trajectory, notes: list[str]) -> RecordedFrames | None:

@@ -16,7 +16,7 @@ from sfgs_jax.viewer._live_page import LivePage
 from sfgs_jax.viewer._live_plots import History
 from sfgs_jax.viewer._live_scene import LiveScene
 from sfgs_jax.viewer._run_control import RunControl
-from sfgs_jax.viewer._server import start_server
+from sfgs_jax.viewer._server import embedded, page_address, start_server
 
 _log = logging.getLogger(__name__)
 
@@ -90,7 +90,11 @@ class LiveView:
     @property
     def address(self) -> str:
         """Address to open in a browser."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        return page_address(self.server)
+
+    def _repr_html_(self) -> str:
+        """The page in a notebook's cell."""
+        return embedded(self.address)
 
     def __call__(self, progress: Progress) -> None:
         """Take note of a frame or of a final map step; wait here while the run is paused.

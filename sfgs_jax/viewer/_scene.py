@@ -22,6 +22,7 @@ from sfgs_jax.viewer._modes import Look, Mode
 from sfgs_jax.viewer._painting import Painter
 from sfgs_jax.viewer._plain_text import plain_text
 from sfgs_jax.viewer._replay import Replay
+from sfgs_jax.viewer._server import embedded, page_address
 from sfgs_jax.viewer._splats import Splats
 from sfgs_jax.viewer._stage import Stage
 
@@ -95,12 +96,11 @@ class MapScene:
     @property
     def url(self) -> str:
         """Address of the page on this machine."""
-        host = self.server.get_host()
-        return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self.server.get_port()}"
+        return page_address(self.server)
 
     def _repr_html_(self) -> str:
         """The page in a notebook's cell."""
-        return f'<iframe src="{self.url}" width="100%" height="600" style="border: none"></iframe>'
+        return embedded(self.url)
 
     def close(self) -> None:
         """Stop the replay and the server."""

@@ -1,15 +1,11 @@
 """A finished run, or a file of Gaussians, in the browser."""
 
-import threading
-import webbrowser
 from pathlib import Path
 
 from sfgs_jax.viewer._finished_run import open_finished_run
 from sfgs_jax.viewer._scene import MOST_GAUSSIANS, MapScene
-from sfgs_jax.viewer._server import start_server
+from sfgs_jax.viewer._server import announce, start_server, wait_for_interrupt
 from sfgs_jax.viewer._splats import splats_of
-
-_LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
 def view_run(
@@ -26,7 +22,7 @@ def view_run(
     Prints the address of the page. In a notebook the result of `block=False` shows the page in its cell.
 
     Args:
-        path: folder that a run wrote; or a .ply, .splat or .spz file, which is shown without a path.
+        path: folder that a run wrote; or a .ply, .splat, .spz or .glb file, which is shown without a path.
         port: port to listen on; the next free one is taken if it is in use, and 0 takes any free one.
         host: address to listen on; "0.0.0.0" lets other machines look, without any password.
         max_gaussians: Gaussians that the page draws at most; a larger map is drawn as a sample.
@@ -54,21 +50,9 @@ def view_run(
         notes=run.notes,
         max_gaussians=max_gaussians,
     )
-    who = (
-        "this machine alone can open it"
-        if host in _LOCAL
-        else "other machines can open it, without a password"
-    )
-    print(f"{path} is at {scene.url} ({who}; Ctrl-C ends)", flush=True)
     for note in run.notes:
         print(note, flush=True)
-    if open_browser:
-        webbrowser.open(scene.url)
+    announce(path, scene.url, host, open_browser=open_browser)
     if block:
-        try:
-            threading.Event().wait()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            scene.close()
+        wait_for_interrupt(scene.close)
     return scene

@@ -59,6 +59,13 @@ def test_the_format_can_be_named_and_a_file_replaced(run_folder, tmp_path):
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["room.bin"]
 
 
+def test_what_was_exported_is_exported_again(run_folder, tmp_path):
+    for before, after in (("run", "a.glb"), ("a.glb", "b.spz"), ("b.spz", "c.ply")):
+        assert main(["export", str(tmp_path / before), str(tmp_path / after)]) == 0
+    found, source = load_ply(tmp_path / "c.ply"), load_ply(run_folder / "map.ply")
+    np.testing.assert_allclose(found.means, source.means, atol=2e-4)
+
+
 def test_the_version_of_an_spz_file_is_chosen(run_folder, tmp_path):
     plain, newer = tmp_path / "room.spz", tmp_path / "newer.spz"
     assert main(["export", str(run_folder), str(plain)]) == 0
@@ -79,7 +86,7 @@ def test_nothing_is_compiled(run_folder, tmp_path, compilations, suffix):
     [
         (["nowhere", "room.ply"], "There is no nowhere"),
         (["empty_folder", "room.ply"], "holds no map.ply"),
-        (["run/notes.txt", "room.ply"], "Cannot read run/notes.txt as a PLY file"),
+        (["run/notes.txt", "room.ply"], "run/notes.txt has none of the suffixes .ply, .splat, .spz, .glb"),
         (["run", "room.obj"], "names no format: use .ply"),
         (["run", "room"], "names no format"),
         (["run", "room.splat", "--points"], "written as .ply, not as .splat"),

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
+import PIL.ImageSequence
 import pytest
 
 from sfgs_jax.cli import main
@@ -46,6 +48,24 @@ def test_images_of_colour_depth_and_normals_are_numbered_files(images):
 
 def test_the_poses_that_were_drawn_are_kept(images):
     np.testing.assert_allclose(read_tum(images / "trajectory.txt").poses, way().poses[::2])
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_an_animated_image_repeats_the_same_pictures(run_folder, tmp_path, suffix):
+    out = tmp_path / f"way{suffix}"
+    words = ["render", str(run_folder), "--out", str(out), "--every", "2", "--fps", "10", "--quiet", *SIZE]
+    assert main([*words, "--depth"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [out.name, f"way_depth{suffix}"]
+    with PIL.Image.open(out) as still:  # the same picture twice is one that stands longer
+        np.testing.assert_allclose(np.asarray(still.convert("RGB"))[15, 20], 255 * RED, atol=4)
+    with PIL.Image.open(tmp_path / f"way_depth{suffix}") as animation:
+        shown = []
+        for picture in PIL.ImageSequence.Iterator(animation):
+            shown.append(np.asarray(picture.convert("RGB"), float)[15, 20])
+            assert picture.info["duration"] == 100
+        assert animation.info["loop"] == 0
+    assert len(shown) == 2
+    assert np.abs(shown[0] - shown[1]).max() > 10
 
 
 def test_a_video_shows_the_same_pictures(run_folder, images, tmp_path, capsys):
@@ -97,7 +117,7 @@ def test_the_camera_is_the_recordings(tmp_path):
         (["run/map.ply", "--out", "images"], "has no trajectory: give --trajectory FILE or --orbit NUMBER"),
         (["run", "--out", "images", "--trajectory", "none.txt"], "Cannot read the trajectory none.txt"),
         (["run", "--out", "images", "--orbit", "3", "--trajectory", "t.txt"], "not both"),
-        (["run", "--out", "film.avi"], "A video is written as .mp4, not as .avi"),
+        (["run", "--out", "film.avi"], "A video is written as .mp4, .gif, .webp, not as .avi"),
         (["run", "--out", "missing/film.mp4"], "There is no folder missing"),
         (["run", "--out", "there.mp4"], "there.mp4 exists: give another name, or pass --overwrite"),
         (["run", "--out", "full"], "exists: give another name"),

@@ -161,12 +161,15 @@ def test_poses_of_another_convention_are_named(copy, change, words):
     assert words in findings["poses"].message
 
 
-def test_poses_of_other_times_are_named(copy):
+@pytest.mark.parametrize("late", [3, 6])
+def test_poses_of_other_times_are_named(copy, late):
+    """Also where a smooth motion hides it: three frames late, they still explain most of the motion."""
     lines = (copy / "poses.txt").read_text().splitlines()
-    (copy / "poses.txt").write_text("\n".join(lines[:1] * 6 + lines[:-6]) + "\n")
+    (copy / "poses.txt").write_text("\n".join(lines[:1] * late + lines[:-late]) + "\n")
     findings, warnings = check(copy)
     assert warnings == ["poses"]
-    assert findings["poses"].message.startswith("Poses come 6 frames late")
+    assert findings["poses"].message.startswith(f"Poses come {late} frames late")
+    assert (findings["poses"].evidence["unexplained share of motion"] < 0.35) == (late == 3)
 
 
 def test_a_wrong_focal_length_is_measured_and_not_blamed_on_the_poses(copy):
@@ -196,6 +199,18 @@ def test_repeated_depth_and_missing_depth_are_named(copy):
     assert "repeated images" in check(copy)[1]
     change_images(copy, "depth", lambda image: np.where(np.arange(80) < 70, 0, image).astype(np.uint16))
     assert "depth coverage" in check(copy)[1]
+
+
+def test_depth_of_8_bits_is_named_and_a_bare_wall_is_not(copy):
+    """Both have few different depths, but only a picture has even steps."""
+    change_images(copy, "depth", lambda image: np.round(image / 39.2).astype(np.uint16) * 39)
+    findings, warnings = check(copy)
+    assert warnings == ["depth coverage"]
+    assert "even steps" in findings["depth coverage"].message
+    wall = SyntheticRecording(num_frames=20, width=80, height=60, place="wall", noise=True)
+    found = {finding.question: finding for finding in check_recording(wall).findings}
+    assert found["depth coverage"].severity == "good"
+    assert found["depth coverage"].evidence["different depths"] < 150
 
 
 def test_a_still_camera_leaves_questions_open(good, tmp_path):

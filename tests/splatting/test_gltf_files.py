@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
 from sfgs_jax.arrays import InputError
-from sfgs_jax.splatting import save_gltf, sh_to_rgb
+from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, contents_of, load_gltf, save_gltf, sh_to_rgb
 from tests.splatting.scenes import make_scene
 from tests.splatting.shapes import covariances, harmonics
 
@@ -118,3 +118,81 @@ def test_an_empty_map_is_refused(tmp_path):
     with pytest.raises(InputError, match="at least one Gaussian"):
         save_gltf(tmp_path / "map.glb", replace(scene, valid=jnp.asarray(np.zeros(len(scene.means), bool))))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_what_was_saved_is_loaded(tmp_path, degree):
+    scene = make_scene(degree, degree=degree)
+    valid = np.asarray(scene.valid)
+    save_gltf(tmp_path / "map.glb", scene)
+    assert contents_of(tmp_path / "map.glb") == "splats"
+    found = load_gltf(tmp_path / "map.glb")
+    assert np.asarray(found.valid).all()
+    for name in GAUSSIAN_PARAMETERS:
+        wanted = np.asarray(getattr(scene, name))[valid]
+        if name == "quaternions":
+            wanted = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
+        np.testing.assert_allclose(getattr(found, name), wanted, rtol=1e-4, atol=1e-4, err_msg=name)
+
+
+def changed(path: Path, change) -> None:
+    """Rewrite the description of a file."""
+    description, data = chunks_of(path)
+    change(description)
+    text = json.dumps(description).encode()
+    text += b" " * (-len(text) % 4)
+    parts = [struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(data), b"BIN\0"), data]
+    body = b"".join(parts)
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
+
+
+def test_normalised_integers_and_strides_are_read(tmp_path):
+    """As other programs write them: opacities as bytes, four bytes apart."""
+    path = tmp_path / "map.glb"
+    save_gltf(path, make_scene(0))
+    wanted = np.asarray(load_gltf(path).opacity_logits)
+
+    def as_bytes(description):
+        index = description["meshes"][0]["primitives"][0]["attributes"][f"{SPLATS}:OPACITY"]
+        accessor = description["accessors"][index]
+        view = description["bufferViews"][accessor["bufferView"]]
+        levels = np.zeros((accessor["count"], 4), np.uint8)
+        levels[:, 0] = np.round(255 * expit(wanted))
+        view["byteStride"] = 4
+        accessor |= {"componentType": 5121, "normalized": True}
+        content = path.read_bytes()
+        start = content.index(b"BIN\0") + 4 + view["byteOffset"]
+        path.write_bytes(content[:start] + levels.tobytes() + content[start + levels.nbytes :])
+
+    description, _ = chunks_of(path)
+    as_bytes(description)
+    changed(path, lambda old: old.update(description))
+    np.testing.assert_allclose(expit(load_gltf(path).opacity_logits), expit(wanted), atol=0.5 / 255 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d["meshes"][0]["primitives"][0].pop("extensions"), "holds no Gaussians"),
+        (lambda d: d["nodes"][0].update(scale=[2, 2, 2]), "moves its Gaussians"),
+        (lambda d: d["accessors"][0].update(count=10**9), "damaged or compressed"),
+        (lambda d: d["accessors"][0].update(componentType=7), "damaged or compressed"),
+        (lambda d: d["bufferViews"].clear(), "damaged or compressed"),
+        (lambda d: d["meshes"][0]["primitives"][0]["attributes"].pop("POSITION"), "damaged or compressed"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, change, message):
+    path = tmp_path / "map.glb"
+    save_gltf(path, make_scene(0))
+    changed(path, change)
+    with pytest.raises(InputError, match=message):
+        load_gltf(path)
+
+
+@pytest.mark.parametrize("length", [0, 11, 30, -1])
+def test_files_that_are_cut_off_are_refused(tmp_path, length):
+    path = tmp_path / "map.glb"
+    save_gltf(path, make_scene(0))
+    path.write_bytes(path.read_bytes()[:length])
+    with pytest.raises(InputError, match="no binary glTF"):
+        load_gltf(path)

@@ -201,6 +201,7 @@ def test_a_port_in_use_gives_the_next_free_one(view):
     with LiveView(port=port) as other:
         assert other.server.get_port() > port
         assert other.address == f"http://127.0.0.1:{other.server.get_port()}"
+        assert f'src="{other.address}"' in other._repr_html_()
 
 
 def test_results_that_cannot_be_written_are_told(free_port, state, caplog):

@@ -9,7 +9,7 @@ import viser
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Trajectory, format_tum, rotations_from_quaternions
-from sfgs_jax.splatting import Gaussians, load_ply, load_spz, save_ply, save_splat, save_spz
+from sfgs_jax.splatting import Gaussians, load_ply, load_spz, save_gltf, save_ply, save_splat, save_spz
 from sfgs_jax.viewer import MapScene, splats_of, view_run
 
 
@@ -134,7 +134,8 @@ def test_the_server_listens_until_it_is_closed(run, capsys):
 
 
 @pytest.mark.parametrize(
-    ("name", "save"), [("a.ply", save_ply), ("a.splat", save_splat), ("a.spz", save_spz)]
+    ("name", "save"),
+    [("a.ply", save_ply), ("a.splat", save_splat), ("a.spz", save_spz), ("a.glb", save_gltf)],
 )
 def test_a_file_of_gaussians_alone_has_no_path(gaussians, tmp_path, name, save):
     save(tmp_path / name, gaussians)
@@ -212,5 +213,8 @@ def test_nothing_to_show_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match=r"holds no map\.ply"):
         view_run(tmp_path)
     (tmp_path / "map.glb").write_bytes(b"glTF")
-    with pytest.raises(InputError, match=r"\.ply, \.splat, \.spz"):
+    with pytest.raises(InputError, match="no binary glTF"):
         view_run(tmp_path / "map.glb")
+    (tmp_path / "map.obj").write_bytes(b"v 0 0 0")
+    with pytest.raises(InputError, match=r"\.ply, \.splat, \.spz"):
+        view_run(tmp_path / "map.obj")

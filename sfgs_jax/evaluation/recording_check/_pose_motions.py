@@ -9,7 +9,12 @@ from jaxtyping import Bool, Float
 from sfgs_jax.evaluation.recording_check._frame_pairs import PairMotion
 from sfgs_jax.geometry import Trajectory, rotation_vectors
 
-_LEAST_TURN = np.radians(1.5)
+LEAST_TURN = np.radians(1.5)
+"""Angle of a smaller turn, which has no axis to speak of."""
+
+LEAST_SHARE = 0.3
+"""Share of the matches that agree with a motion; with a smaller one it is not believed."""
+
 _LEAST_MOVE = 0.03
 """Length of a translation as a share of the scene's depth; a shorter one has no direction."""
 _LARGEST_BEND = np.radians(60)
@@ -81,7 +86,7 @@ class PoseMotions:
         given = convention.motions(self.first, self.second)
         turns = np.linalg.norm(_rotation_logs(self.measured), axis=1)
         over = np.linalg.norm(_rotation_logs(given @ np.linalg.inv(self.measured)), axis=1)
-        turning = turns > _LEAST_TURN
+        turning = turns > LEAST_TURN
         parts = []
         if turning.any():
             parts.append(float(np.median(np.minimum(over[turning] / turns[turning], 1))))
@@ -135,7 +140,7 @@ def pose_motions(
     first, second, measured, moving = [], [], [], []
     for pair, motion in motions:
         a, b = pair.first.index + lag, pair.second.index + lag
-        if a in poses and b in poses and motion.share > 0.3:
+        if a in poses and b in poses and motion.share > LEAST_SHARE:
             first.append(poses[a])
             second.append(poses[b])
             measured.append(motion.T_second_first)

@@ -8,6 +8,7 @@ import numpy as np
 
 from sfgs_jax.evaluation.recording_check._finding import Finding
 from sfgs_jax.evaluation.recording_check._frame_pairs import PairMotion
+from sfgs_jax.evaluation.recording_check._pose_lag import FARTHEST_LAG, find_pose_lag
 from sfgs_jax.evaluation.recording_check._pose_motions import (
     AS_GIVEN,
     Convention,
@@ -18,8 +19,6 @@ from sfgs_jax.evaluation.recording_check._pose_motions import (
 from sfgs_jax.evaluation.recording_check._sample import RecordingSample
 
 _FEWEST = 4
-_FARTHEST = 15
-"""Most frames that poses are tried earlier or later."""
 _GOOD = 0.35
 """Largest share of the motion that good poses leave unexplained."""
 
@@ -63,6 +62,10 @@ def check_poses(sample: RecordingSample, motions: Sequence[PairMotion]) -> PoseC
         return PoseCheck(Finding("poses", "unknown", message))
     evidence: dict[str, float | int] = {"unexplained share of motion": plain}
     if plain < _GOOD:
+        if (late := find_pose_lag(poses, motions)) is not None:
+            evidence |= {"gain by the lag": late.gain, "sigmas": late.sigmas}
+            lagging = pose_motions(poses, motions, lag=late.frames)
+            return PoseCheck(_lag_finding(late.frames, evidence), lagging.scale(AS_GIVEN))
         message = f"Poses agree with the motion of the images ({100 * plain:.0f} % unexplained)."
         return PoseCheck(Finding("poses", "good", message, evidence=evidence), found.scale(AS_GIVEN))
     best = min(_conventions(), key=found.unexplained)
@@ -70,7 +73,7 @@ def check_poses(sample: RecordingSample, motions: Sequence[PairMotion]) -> PoseC
     if cost < min(_GOOD, 0.6 * plain):
         evidence["as corrected"] = cost
         return PoseCheck(_convention_finding(best, plain, cost, evidence), found.scale(best))
-    lags = {lag: pose_motions(poses, motions, lag=lag) for lag in range(-_FARTHEST, _FARTHEST + 1)}
+    lags = {lag: pose_motions(poses, motions, lag=lag) for lag in range(-FARTHEST_LAG, FARTHEST_LAG + 1)}
     costs = {lag: at.unexplained(AS_GIVEN) for lag, at in lags.items() if len(at.measured) >= _FEWEST}
     lag = min(costs, key=lambda key: np.nan_to_num(costs[key], nan=1.0))
     if lag and costs[lag] < min(_GOOD, 0.6 * plain):

@@ -1,8 +1,6 @@
 """glTF 2.0 in one binary file (.glb), with splats by the extension KHR_gaussian_splatting."""
 
-import json
 import math
-import struct
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,8 +11,9 @@ from sfgs_jax.arrays import InputError, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb
 from sfgs_jax.splatting.files._axes import half_turned
+from sfgs_jax.splatting.files._glb_container import packed_glb
 
-_EXTENSION = "KHR_gaussian_splatting"
+EXTENSION = "KHR_gaussian_splatting"
 _POINTS, _ARRAY_BUFFER, _FLOAT = 0, 34962, 5126
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
@@ -50,11 +49,11 @@ def save_gltf(path: Path | str, gaussians: Gaussians) -> None:
     primitive = {
         "mode": _POINTS,
         "attributes": {name: index for index, name in enumerate(attributes)},
-        "extensions": {_EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
     }
     description = {
         "asset": {"version": "2.0", "generator": "sfgs_jax"},
-        "extensionsUsed": [_EXTENSION],
+        "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
@@ -63,7 +62,7 @@ def save_gltf(path: Path | str, gaussians: Gaussians) -> None:
         "bufferViews": views,
         "accessors": accessors,
     }
-    write_atomically(path, _binary_gltf(description, b"".join(parts)))
+    write_atomically(path, packed_glb(description, b"".join(parts)))
 
 
 def _attributes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -72,15 +71,15 @@ def _attributes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     rgb = _linear(np.clip(sh_to_rgb(sh[:, 0]), 0, 1))
     attributes = {
         "POSITION": values["means"],
-        f"{_EXTENSION}:ROTATION": np.roll(values["quaternions"], -1, axis=1),  # xyzw
-        f"{_EXTENSION}:SCALE": np.exp(values["log_scales"]),
-        f"{_EXTENSION}:OPACITY": opacities,
+        f"{EXTENSION}:ROTATION": np.roll(values["quaternions"], -1, axis=1),  # xyzw
+        f"{EXTENSION}:SCALE": np.exp(values["log_scales"]),
+        f"{EXTENSION}:OPACITY": opacities,
         "COLOR_0": np.concatenate([rgb, opacities[:, None]], axis=1),
     }
     first = 0
     for degree in range(math.isqrt(sh.shape[1])):
         for order in range(2 * degree + 1):
-            attributes[f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"] = sh[:, first + order]
+            attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"] = sh[:, first + order]
         first += 2 * degree + 1
     return {name: array.astype("<f4") for name, array in attributes.items()}
 
@@ -101,21 +100,3 @@ def _accessor(array: np.ndarray, *, view: int, bounds: bool) -> dict[str, object
     if bounds:
         accessor |= {"min": np.min(array, axis=0).tolist(), "max": np.max(array, axis=0).tolist()}
     return accessor
-
-
-def _binary_gltf(description: Mapping[str, object], data: bytes) -> bytes:
-    """The container: a header, then the description and the data as chunks of whole words."""
-    text = json.dumps(description, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    length = 12 + 8 + len(text) + 8 + len(data)
-    if length >= 2**32:
-        raise InputError(f"The file would have {length / 1e9:.1f} GB; glTF ends at 4 GB. Use another format.")
-    return b"".join(
-        [
-            struct.pack("<4sII", b"glTF", 2, length),
-            struct.pack("<I4s", len(text), b"JSON"),
-            text,
-            struct.pack("<I4s", len(data), b"BIN\0"),
-            data,
-        ]
-    )

@@ -69,7 +69,7 @@ def load_ply(path: Path | str) -> Gaussians:
             of this layout, or has a value that is not finite.
     """
     path = Path(path)
-    vertices = _read_vertices(path)
+    vertices = read_vertices(path)
     names = vertices.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in names)
     coefficients = rest // 3 + 1
@@ -110,8 +110,15 @@ def _ply_columns(coefficients: int) -> list[str]:
     ]
 
 
-def _read_vertices(path: Path) -> np.ndarray:
-    """The vertex element of a PLY file, as a structured array."""
+def read_vertices(path: Path) -> np.ndarray:
+    """The vertex element of a PLY file, as a structured array.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: the file is missing, is no PLY file, is cut off, or has no vertices.
+    """
     try:
         _require_rows(path.read_bytes())
         # plyfile maps a real file into memory. From a stream it reads number by number.
@@ -121,7 +128,7 @@ def _read_vertices(path: Path) -> np.ndarray:
     except Exception as error:  # plyfile raises whatever a broken header trips
         raise InputError(f"Cannot read {path} as a PLY file: {excerpt(error)}.") from error
     if "vertex" not in names:
-        raise InputError(f"{path} has no 'vertex' element; it is not a Gaussian splatting file.")
+        raise InputError(f"{path} has no 'vertex' element: it holds neither Gaussians nor points.")
     vertices = elements["vertex"].data
     _require_end(elements, path)
     return vertices
