@@ -47,8 +47,15 @@ def test_the_examples_hold(examples):
 
 def in_float64(tree: Any) -> Any:
     return jax.tree.map(
-        lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array_like(x) else x,
+        lambda x: np.asarray(x, np.float64) if eqx.is_inexact_array_like(x) else x,
         tree,
+    )
+
+
+def moved_by(step: float, inputs: Any, rates: Any) -> Any:
+    """The inputs a step along their rates, which are None where there are none."""
+    return jax.tree.map(
+        lambda rate, x: x if rate is None else x + step * rate, rates, inputs, is_leaf=lambda x: x is None
     )
 
 
@@ -64,6 +71,7 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     settings = replace(settings, gicp=exact, features=features, estimate_timing=True, estimate_depth=True)
     known = SensorModel(timing=SensorTiming(0.004, 0.01, 0.008))
     params = slam.tracker_params(examples["recording"].camera, settings, known)
+    # NumPy's arrays: in JAX's, each operation that prepares them is one more program to compile.
     *inputs, tracker = in_float64((params, *examples["inputs"][1:], examples["tracker"]))
 
     @eqx.filter_jit
@@ -88,26 +96,23 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
         "earlier depths": (lambda tree: tree[2], earlier),
         "seconds": (lambda tree: tree[3], every),
     }
-    zero = jax.tree.map(lambda x: jnp.zeros_like(x) if eqx.is_inexact_array(x) else None, inputs)
+    zero = jax.tree.map(lambda x: np.zeros_like(x) if eqx.is_inexact_array_like(x) else None, inputs)
 
     def moved_along(x):
         # Weights move in proportion, missing depth stays missing; a grid of zeros moves by itself.
-        return (x if np.any(x) else 0.01) * jnp.asarray(rng.normal(size=x.shape))
+        return (x if np.any(x) else 0.01) * rng.normal(size=x.shape)
 
     with jax.numpy_dtype_promotion("standard"):  # indices are int64 here
         shapes = jax.eval_shape(slam.track, inputs[0], tracker, *(x[0] for x in inputs[1:]))[0]
         tracker = jax.tree.map(lambda x, like: x.astype(like.dtype), tracker, shapes)
         for name, (part, rows) in parts.items():
-            along = jax.tree.map(moved_along, eqx.filter(part(inputs), eqx.is_inexact_array))
-            along = along if rows is None else jnp.zeros_like(along).at[rows].set(along[rows])
+            along = jax.tree.map(moved_along, eqx.filter(part(inputs), eqx.is_inexact_array_like))
+            if rows is not None:
+                kept, along = along[rows], np.zeros_like(along)
+                along[rows] = kept
             rates = eqx.tree_at(part, zero, along)
             _, rate = pose_and_rate(inputs, rates, tracker)
-            ends = [
-                pose_and_rate(
-                    eqx.apply_updates(inputs, jax.tree.map(lambda x, s=step: s * x, rates)), rates, tracker
-                )[0]
-                for step in (1e-7, -1e-7)
-            ]
+            ends = [pose_and_rate(moved_by(step, inputs, rates), rates, tracker)[0] for step in (1e-7, -1e-7)]
             expected = float(ends[0] - ends[1]) / 2e-7
             assert float(rate) == pytest.approx(expected, rel=1e-4), name
             assert abs(expected) > 1e-6, name
