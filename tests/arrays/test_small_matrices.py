@@ -4,23 +4,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.arrays import (
-    apply,
-    apply_transposed,
-    back_substitution,
-    cholesky,
-    dot,
-    forward_substitution,
-    from_upper_triangles,
-    identity_like,
-    multiply,
-    multiply_transposed,
-    outer,
-    smallest_eigenpair,
-    symmetric_inverse,
-    symmetric_product,
-    upper_triangles,
-)
+from sfgs_jax import arrays
+
+# One program for each instead of one for each operation.
+apply = jax.jit(arrays.apply)
+apply_transposed = jax.jit(arrays.apply_transposed)
+back_substitution = jax.jit(arrays.back_substitution)
+cholesky = jax.jit(arrays.cholesky)
+dot = jax.jit(arrays.dot)
+forward_substitution = jax.jit(arrays.forward_substitution)
+from_upper_triangles = jax.jit(arrays.from_upper_triangles)
+identity_like = jax.jit(arrays.identity_like)
+multiply = jax.jit(arrays.multiply)
+multiply_transposed = jax.jit(arrays.multiply_transposed)
+outer = jax.jit(arrays.outer)
+smallest_eigenpair = jax.jit(arrays.smallest_eigenpair)
+symmetric_inverse = jax.jit(arrays.symmetric_inverse)
+symmetric_product = jax.jit(arrays.symmetric_product)
+upper_triangles = jax.jit(arrays.upper_triangles)
 
 
 def triangles(matrices: np.ndarray, dtype: type = np.float32) -> jax.Array:

@@ -5,16 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.arrays import (
-    digit_bits,
-    from_ordered_bits,
-    masked_median,
-    ordered_bits,
-    packed_argmin,
-    sort_packed,
-    stable_argsort,
-    stable_order,
-)
+from sfgs_jax import arrays
+from sfgs_jax.arrays import digit_bits, sort_packed
+
+# One program for each instead of one for each operation.
+from_ordered_bits = jax.jit(arrays.from_ordered_bits)
+masked_median = jax.jit(arrays.masked_median)
+ordered_bits = jax.jit(arrays.ordered_bits)
+packed_argmin = jax.jit(arrays.packed_argmin, static_argnames="index_bits")
+stable_argsort = jax.jit(arrays.stable_argsort)
+stable_order = jax.jit(arrays.stable_order)
 
 NUMBERS = [0.0, 1e-45, 1e-38, 1e-6, 0.5, 1.0, np.nextafter(np.float32(1), 2), 3e38, np.inf, np.nan]
 

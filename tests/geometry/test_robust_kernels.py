@@ -7,8 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import Kernel, kernel_rho, kernel_weight
+from sfgs_jax import geometry
+from sfgs_jax.geometry import Kernel
 
+# One program for each kernel instead of one for each operation.
+kernel_rho, kernel_weight = (
+    jax.jit(function, static_argnums=1) for function in (geometry.kernel_rho, geometry.kernel_weight)
+)
 KERNELS = get_args(Kernel)
 
 
@@ -56,7 +61,5 @@ def test_values_worked_out_by_hand(kernel, rho, weight):
 @pytest.mark.parametrize("function", [kernel_rho, kernel_weight])
 def test_gradients_are_finite_everywhere(kernel, function):
     for square in (0.0, 1e-30, 2.25, 1e12):
-        gradients = jax.grad(lambda s, w: function(s, kernel, w), argnums=(0, 1))(
-            jnp.asarray(square), jnp.asarray(1.5)
-        )
+        gradients = jax.grad(function, argnums=(0, 2))(np.float32(square), kernel, np.float32(1.5))
         assert np.all(np.isfinite(gradients))

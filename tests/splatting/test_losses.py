@@ -5,7 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sfgs_jax.splatting import l1, ssim
+from sfgs_jax import splatting
+
+# One program for each instead of one for each operation.
+l1, ssim = jax.jit(splatting.l1), jax.jit(splatting.ssim)
 
 
 def direct_ssim(a: np.ndarray, b: np.ndarray) -> np.ndarray:
