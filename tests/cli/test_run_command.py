@@ -193,6 +193,7 @@ def test_a_folder_with_something_in_it_is_left_alone(recording_folder, tmp_path,
     assert os.listdir(tmp_path) == ["thesis.txt"]
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_overwriting_replaces_results_only(recording_folder, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     (tmp_path / "map.ply").write_text("old")
@@ -207,6 +208,7 @@ def test_an_output_path_that_is_a_file_is_refused(recording_folder, tmp_path, ca
     assert "cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_a_truncated_image_in_mid_run_is_skipped_and_counted(copy, tmp_path):
     image = sorted((copy / "depth").iterdir())[4]
     image.write_bytes(image.read_bytes()[:200])
@@ -217,6 +219,7 @@ def test_a_truncated_image_in_mid_run_is_skipped_and_counted(copy, tmp_path):
     assert "frame 4 skipped" in (tmp_path / "out" / "run.log").read_text()
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_a_frame_without_depth_is_not_skipped(copy, tmp_path):
     image = sorted((copy / "depth").iterdir())[5]
     cv2.imwrite(str(image), np.zeros((72, 96), np.uint16))
@@ -227,6 +230,7 @@ def test_a_frame_without_depth_is_not_skipped(copy, tmp_path):
     assert frames["lost"] <= 1
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_too_many_bad_images_stop_the_run_but_keep_what_there_is(copy, tmp_path, capsys):
     for image in sorted((copy / "rgb").iterdir())[5:]:
         image.write_bytes(b"\x89PNG")
@@ -236,6 +240,7 @@ def test_too_many_bad_images_stop_the_run_but_keep_what_there_is(copy, tmp_path,
     assert np.sum(load_ply(tmp_path / "out" / "map.ply").valid) > 500
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_non_finite_ground_truth_is_ignored_with_a_warning(copy, tmp_path):
     lines = (copy / "poses.txt").read_text().splitlines()
     place = next(i for i, line in enumerate(lines) if not line.startswith("#"))
@@ -248,6 +253,7 @@ def test_non_finite_ground_truth_is_ignored_with_a_warning(copy, tmp_path):
     assert "WARNING" in (tmp_path / "out" / "run.log").read_text()
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_without_ground_truth_it_runs_and_says_what_it_cannot_give(copy, tmp_path):
     (copy / "poses.txt").unlink()
     assert run(copy, tmp_path / "out") == 0
@@ -257,6 +263,7 @@ def test_without_ground_truth_it_runs_and_says_what_it_cannot_give(copy, tmp_pat
     assert metrics["psnr"]["all"] > 18
 
 
+@pytest.mark.usefixtures("no_warm_up")
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_saves_what_there_is_and_exits_130(recording_folder, tmp_path, signum):
     # A shell's background jobs are born deaf to Ctrl-C.
@@ -326,6 +333,7 @@ def test_a_second_run_in_the_same_folder_is_refused(recording_folder, tmp_path, 
         assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_resume_is_not_offered_where_no_checkpoint_could_be_written(
     recording_folder, tmp_path, monkeypatch, capsys
 ):
@@ -356,6 +364,7 @@ def test_an_ablation_reaches_the_settings(recording_folder, tmp_path, capsys):
     assert not (tmp_path / "b").exists()
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_a_folder_that_can_no_longer_be_written_costs_no_results(
     recording_folder, tmp_path, monkeypatch, capsys
 ):
@@ -437,6 +446,7 @@ def test_a_folder_that_becomes_read_only_in_mid_run_costs_nothing(
     assert other_files(results, finished) == ["config.json"]
 
 
+@pytest.mark.usefixtures("no_warm_up")
 def test_a_run_that_loses_a_tenth_of_its_frames_is_no_success(copy, tmp_path, capsys):
     for name in ("rgb", "depth"):
         for path in sorted((copy / name).iterdir())[8:10]:
