@@ -181,12 +181,13 @@ def _runs_out_of_keypoints(
     A pose that they no longer support makes no keyframe, so it has to be taken before.
     """
     left, features = found.matched.num_inliers, config.features
+    dtype = found.T_target_source.wxyz_xyz.dtype
     # Where the surface leaves a direction free, the keypoints decide alone.
     share = jnp.where(found.num_free > 0, features.min_inlier_share_alone, 0)
-    least = jnp.maximum(features.min_inliers_alone, share * found.matched.num_matches)
+    least = jnp.maximum(features.min_inliers_alone, share * found.matched.num_matches.astype(dtype))
     by_keypoints = (found.source == PoseSource.JOINT) | (found.source == PoseSource.KEYPOINTS)
     more = jnp.sum(seen.keypoints.measured, dtype=jnp.int32) > 2 * left
-    return by_keypoints & (left < config.keyframe_margin * least) & more
+    return by_keypoints & (left.astype(dtype) < config.keyframe_margin * least) & more
 
 
 def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
