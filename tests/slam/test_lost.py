@@ -114,10 +114,34 @@ def test_within_reach_one_keyframe_is_enough(long_room, config):
     assert error(long_room, 2, info) < 0.05
 
 
-def test_what_the_reference_no_longer_shows_is_found_by_way_of_the_frame_before(long_room, config):
-    never = replace(
-        config.tracking, keyframe_inlier_fraction=0.0, keyframe_translation=10.0, keyframe_rotation=3.0
+@pytest.fixture(scope="module")
+def never(config):
+    """Settings of tracking by which no frame wants to be a keyframe."""
+    return replace(
+        config.tracking,
+        keyframe_inlier_fraction=0.0,
+        keyframe_translation=10.0,
+        keyframe_rotation=3.0,
+        keyframe_margin=0.0,
     )
+
+
+def test_a_keyframe_is_taken_while_the_keypoints_are_still_believed(long_room, config, never):
+    """Nothing else asks for one. It comes by itself, before a frame needs the one before it as a bridge."""
+    soon = replace(never, keyframe_margin=1.5)
+    state, before = slam.init(long_room.camera, replace(config, tracking=soon)), None
+    for number in range(0, 33, 2):
+        state, info = slam.step(state, in_time(long_room[number], state), number=number)
+        assert info.tracked
+        if info.new_keyframe and number:
+            assert info.num_inliers < 1.5 * soon.features.min_inliers_alone
+            assert before.num_inliers >= 1.5 * soon.features.min_inliers_alone
+            return
+        before = info
+    pytest.fail("no keyframe was taken")
+
+
+def test_what_the_reference_no_longer_shows_is_found_by_way_of_the_frame_before(long_room, config, never):
     state = slam.init(long_room.camera, replace(config, tracking=never))
     numbers = range(0, 33, 2)
     state, infos = follow(state, long_room, numbers)
