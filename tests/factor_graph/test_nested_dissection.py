@@ -1,11 +1,17 @@
-"""Vertex separators of graphs."""
+"""The sparse solver: vertex separators of graphs, and the calls of LAPACK along a dissection."""
 
 from itertools import product
 
+import jax
+import jax.numpy as jnp
+import jaxlie
 import numpy as np
 import scipy.sparse as sparse
+from jax.extend.core import jaxprs_in_params
 
+from sfgs_jax.factor_graph import FactorGraph, RelativePose
 from sfgs_jax.factor_graph.problem import minimum_vertex_cover
+from sfgs_jax.factor_graph.solver import multifrontal_cholesky, multifrontal_solve
 
 
 def test_no_fewer_vertices_cover_the_edges_of_a_cut(rng):
@@ -21,3 +27,33 @@ def test_no_fewer_vertices_cover_the_edges_of_a_cut(rng):
         covers = (np.array(c, bool) for c in product([False, True], repeat=10))
         fewest = min(c.sum() for c in covers if not across[~c][:, ~c].any())
         assert chosen.sum() == fewest
+
+
+def ranks(jaxpr):
+    """Ranks of the first operands of all LAPACK calls, those in loops and inner functions included."""
+    found = []
+    for equation in jaxpr.eqns:
+        if equation.primitive.name in ("cholesky", "triangular_solve"):
+            found.append(equation.invars[0].aval.ndim)
+        for inner in jaxprs_in_params(equation.params):
+            found += ranks(inner)
+    return found
+
+
+def test_no_batched_call_of_lapack_holds_a_thread_of_the_pool():
+    """Two of them at once, in two programs, waited for each other for ever on two threads."""
+    ends = np.stack([np.arange(199), np.arange(1, 200)], axis=1)
+    chain = RelativePose(ends, jaxlie.SE3.identity((199,)), jnp.eye(6))
+    graph = FactorGraph([chain], num_poses=200, linear_solver="sparse")
+    diagonal = np.tile(np.eye(6, dtype=np.float32), (200, 1, 1))
+    beside = np.zeros((len(graph.structure.rows), 6, 6), np.float32)
+    plan = graph.plan
+    assert plan is not None
+    assert max(batch.own.shape[0] for batch in plan.batches) > 1
+
+    def solved(diagonal, beside, right):
+        return multifrontal_solve(plan, multifrontal_cholesky(plan, diagonal, beside), right)
+
+    found = ranks(jax.make_jaxpr(solved)(diagonal, beside, np.ones((200, 6), np.float32)).jaxpr)
+    assert len(found) >= 4
+    assert set(found) == {2}

@@ -1,5 +1,7 @@
 """Multifrontal Cholesky: block-sparse factorisation and solution along an elimination plan."""
 
+from functools import partial
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -49,14 +51,25 @@ def multifrontal_cholesky(
         columns = jnp.transpose(columns, (0, 1, 3, 2, 4)).reshape(n, d * (o + b), d * o)
         unused = jnp.repeat(jnp.asarray(batch.own) == len(diagonal), d, axis=1).astype(entries.dtype)
         own = columns[:, : d * o] + jnp.eye(d * o, dtype=entries.dtype)[None] * unused[:, None]
-        lower = lax.linalg.cholesky(own, symmetrize_input=False)
-        boundary = lax.linalg.triangular_solve(lower, columns[:, d * o :], lower=True, transpose_a=True)
+        lower = lax.map(partial(lax.linalg.cholesky, symmetrize_input=False), own)
+        boundary = _divided(lower, columns[:, d * o :], transpose_a=True)
         factors.append(Front(lower, boundary))
         start = corner + n * (b * (b + 1) // 2)
         if b:
             update = blocks[corner:start] - symmetric_rank_k_blocks(boundary, b).reshape(-1, d * d)
             blocks = blocks.at[_places_in_parents(batch, end)].add(update)
     return tuple(factors)
+
+
+def _divided(
+    lower: Float[Array, "n s s"], right: Float[Array, "n i j"], **sides: bool
+) -> Float[Array, "n i j"]:
+    """Right-hand sides divided by lower triangular matrices, one after the other.
+
+    A batched call of LAPACK hands its matrices to the threads of the pool, and holds one while it waits for
+    them. Two at once, of whatever programs, would wait for each other for ever where there are two threads.
+    """
+    return lax.map(lambda pair: lax.linalg.triangular_solve(*pair, lower=True, **sides), (lower, right))
 
 
 def symmetric_rank_k_blocks(
@@ -114,16 +127,14 @@ def multifrontal_solve(
         fronts: factors of the matrix.
         right: (P, d) right-hand side.
     """
-    # A failure in any front reaches the root. Waiting for the root also keeps XLA from solving the first
-    # fronts while it factorises the last. Two batched LAPACK calls at once end in a deadlock on a machine
-    # with two threads: each holds a thread of the pool and waits for the other.
+    # A failure in any front reaches the root.
     whole = jnp.all(jnp.isfinite(fronts[-1].own))
     d = right.shape[1]
     vector = jnp.where(whole, jnp.concatenate([right, jnp.zeros_like(right[:1])]), jnp.nan)
     for batch, front in zip(plan.batches, fronts, strict=True):
         own, boundary = jnp.asarray(batch.own), jnp.asarray(batch.boundary)
         part = vector[own].reshape(own.shape[0], -1, 1)
-        part = lax.linalg.triangular_solve(front.own, part, left_side=True, lower=True)
+        part = _divided(front.own, part, left_side=True)
         vector = vector.at[own].set(part.reshape(*own.shape, d))
         below = jnp.sum(front.boundary * jnp.swapaxes(part, 1, 2), axis=2)
         vector = vector.at[boundary].add(-below.reshape(*boundary.shape, d))
@@ -132,6 +143,6 @@ def multifrontal_solve(
         own, boundary = jnp.asarray(batch.own), jnp.asarray(batch.boundary)
         above = vector[boundary].reshape(boundary.shape[0], -1, 1)
         part = vector[own].reshape(own.shape[0], -1, 1) - jnp.sum(front.boundary * above, axis=1)[:, :, None]
-        part = lax.linalg.triangular_solve(front.own, part, left_side=True, lower=True, transpose_a=True)
+        part = _divided(front.own, part, left_side=True, transpose_a=True)
         vector = vector.at[own].set(part.reshape(*own.shape, d)).at[-1].set(0)
     return vector[:-1]
