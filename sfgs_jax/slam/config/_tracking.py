@@ -129,8 +129,8 @@ class TrackingConfig:
     keyframe_inlier_fraction: float = 0.7
     """Share of surface inliers below which a new keyframe is taken."""
     keyframe_margin: float = 1.5
-    """How near the keypoint inliers may come to the least with which they are believed, as a factor, before a
-    new keyframe is taken."""
+    """Keypoint inliers below which a new keyframe is taken, as a multiple of the least number and the least
+    share with which keypoints are believed."""
     keyframe_translation: float = 0.3
     """Distance from the reference beyond which a new keyframe is taken, metres."""
     keyframe_rotation: float = 0.35
