@@ -1,6 +1,6 @@
 """A long run: time of a frame, memory and keyframes by parts of the run, then the error and wrong edges.
 
-    python -m experiments.long_run synthetic:place=building,frames=10000
+    python -m experiments.long_run synthetic:place=building,frames=10000 [--without-map]
 
 A camera that has been everywhere should cost the same in the last part as in the second, in time and in
 memory. A frame's time is that of its pose and of the graph; the map grows beside it, and is not refined at
@@ -28,12 +28,19 @@ def main() -> None:
     parser.add_argument("source", help="recording with ground truth")
     parser.add_argument("--part", type=int, default=1000, help="frames of a row")
     parser.add_argument("--realtime", action="store_true", help="map in a thread of its own")
+    parser.add_argument("--without-map", action="store_true", help="poses alone: no table, the same error")
     options = parser.parse_args()
     recording = datasets.open_recording(options.source)
     if recording.ground_truth is None:
         raise SystemExit("The recording has no ground truth.")
     config = slam.SlamConfig()
     config = replace(config, mapping=replace(config.mapping, final_steps=0))
+    if options.without_map:
+        state = slam.init(recording.camera, config)
+        for number in range(len(recording)):
+            state, _, _ = slam.follow(state, recording[number], number=number)
+        print(_summary(slam.finish(state), recording.ground_truth))
+        return
     rows = _Rows(options.part, len(recording))
     with tempfile.TemporaryDirectory() as folder:
         run = slam.run(
@@ -89,7 +96,7 @@ def _summary(state: slam.SlamState, truth: Trajectory) -> str:
     errors = _edge_errors(state, truth.poses)
     wrong = (errors[:, 0] > _WRONG_METRES) | (errors[:, 1] > _WRONG_RADIANS)
     return (
-        f"\nATE {100 * ate.rmse_m:.2f} cm, {100 * ate.rmse_m / path:.3f} % of {path:.0f} m; "
+        f"\n{state.num_lost} frames lost; ATE {100 * ate.rmse_m:.2f} cm, {100 * ate.rmse_m / path:.3f} % of {path:.0f} m; "
         f"{len(state.graph.loops)} edges to earlier keyframes; {wrong.sum()} of {len(wrong)} edges wrong"
     )
 
