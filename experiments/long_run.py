@@ -96,7 +96,8 @@ def _summary(state: slam.SlamState, truth: Trajectory) -> str:
     errors = _edge_errors(state, truth.poses)
     wrong = (errors[:, 0] > _WRONG_METRES) | (errors[:, 1] > _WRONG_RADIANS)
     return (
-        f"\n{state.num_lost} frames lost; ATE {100 * ate.rmse_m:.2f} cm, {100 * ate.rmse_m / path:.3f} % of {path:.0f} m; "
+        f"\n{state.num_lost} frames lost; "
+        f"ATE {100 * ate.rmse_m:.2f} cm, {100 * ate.rmse_m / path:.3f} % of {path:.0f} m; "
         f"{len(state.graph.loops)} edges to earlier keyframes; {wrong.sum()} of {len(wrong)} edges wrong"
     )
 
