@@ -16,9 +16,9 @@ from sfgs_jax.slam.keyframes import (
     bend,
     compile_ahead,
     is_contradicted,
+    likely_drift,
     neighbours,
     optimise_poses,
-    travelled,
     with_candidate,
 )
 from sfgs_jax.slam.state import Edge, Keyframe
@@ -67,7 +67,7 @@ def drifted(room, config, circle):
         state.graph,
         keyframes=tuple(keyframes),
         poses=np.stack(poses),
-        covariances=np.zeros((COUNT, 6, 6)),
+        covariances=np.arange(COUNT)[:, None, None] * 0.02**2 * np.eye(6),
         edges=tuple(edges),
     )
     return replace(state, graph=graph)
@@ -88,8 +88,8 @@ def may_close(state, edge, **evidence):
     graph, found = state.graph, registration(jaxlie.SE3(jnp.asarray(edge.T_target_source)), **evidence)
     guess = se3.compose(se3.inverse(graph.pose(edge.target)), graph.pose(edge.source))
     off = np.asarray(se3.log(se3.compose(se3.inverse(guess), found.T_target_source)))
-    length = travelled(graph, edge.target, edge.source)
-    return supports_loop(found, off, length, state.config.graph)
+    drift = likely_drift(graph, edge.target, edge.source, state.config.graph)
+    return supports_loop(found, off, drift, state.config.graph)
 
 
 def end_error(state, circle):
@@ -179,6 +179,15 @@ def test_old_candidates_make_room(drifted, circle):
 def test_a_place_that_only_looks_the_same_is_no_loop(drifted):
     """Half way round the camera believes to be back where it began, two rooms alike: four metres off."""
     assert not may_close(drifted, edge(0, COUNT // 2, se3.identity()))
+
+
+def test_a_loop_mends_no_more_than_the_graph_is_uncertain_of(drifted):
+    """Two rooms that look alike, after a way so long that its share would allow any correction."""
+    graph, config = drifted.graph, replace(drifted.config.graph, max_drift=100.0)
+    sigma = np.sqrt(3 * (COUNT - 1)) * 0.02
+    assert likely_drift(graph, 0, COUNT - 1, config) == pytest.approx(5 * sigma)
+    short = replace(config, max_drift=0.001)
+    assert likely_drift(graph, 0, COUNT - 1, short) < 0.02
 
 
 @pytest.mark.parametrize("weak", [{"inliers": 10}, {"fraction": 0.2}])

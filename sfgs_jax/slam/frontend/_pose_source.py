@@ -112,16 +112,16 @@ def supports_edge(
     return int(found.source) in sources and correction < config.max_correction
 
 
-def supports_loop(found: Registration, off: np.ndarray, travelled: float, config: GraphConfig) -> bool:
+def supports_loop(found: Registration, off: np.ndarray, drift: float, config: GraphConfig) -> bool:
     """True if a registration may close a loop: keypoints and surface confirm it, and drift explains it.
 
-    Two rooms that look the same pass every test of looks and fit. They fail this one: the path between them
-    is too short for so large an error.
+    Two rooms that look the same pass every test of looks and fit. They fail this one: the graph is not that
+    uncertain of where they are.
 
     Args:
         found: the registration.
         off: (6,) tangent of its disagreement with the graph.
-        travelled: length of the path between the keyframes, metres.
+        drift: largest drift that is likely between the keyframes, metres.
         config: settings.
     """
     confirmed = (
@@ -129,5 +129,5 @@ def supports_loop(found: Registration, off: np.ndarray, travelled: float, config
         and int(found.matched.num_inliers) >= config.loop_inliers
         and float(found.inlier_fraction) >= config.loop_inlier_fraction
     )
-    bound = config.loop_slack + config.max_drift * travelled
+    bound = config.loop_slack + drift
     return bool(confirmed and np.linalg.norm(off[:3]) < bound and np.linalg.norm(off[3:]) < config.max_turn)

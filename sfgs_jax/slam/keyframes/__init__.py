@@ -27,8 +27,8 @@ from sfgs_jax.slam.keyframes._insertion import with_new_keyframes as with_new_ke
 from sfgs_jax.slam.keyframes._landmarks import positions as positions
 from sfgs_jax.slam.keyframes._landmarks import with_positions as with_positions
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops as accept_consistent_loops
+from sfgs_jax.slam.keyframes._loops import likely_drift as likely_drift
 from sfgs_jax.slam.keyframes._loops import loop_pairs as loop_pairs
-from sfgs_jax.slam.keyframes._loops import travelled as travelled
 from sfgs_jax.slam.keyframes._loops import with_candidate as with_candidate
 from sfgs_jax.slam.keyframes._pose_graph import bend as bend
 from sfgs_jax.slam.keyframes._pose_graph import compile_ahead as compile_ahead

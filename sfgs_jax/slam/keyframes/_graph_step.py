@@ -18,7 +18,7 @@ from sfgs_jax.slam.keyframes._deferred_adjustment import (
 from sfgs_jax.slam.keyframes._depth_estimate import with_new_offsets, with_registration
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
-from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, travelled, with_candidate
+from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, likely_drift, with_candidate
 from sfgs_jax.slam.keyframes._pose_graph import compile_ahead, is_contradicted, optimise_poses
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
@@ -121,7 +121,7 @@ def _register_next(
         graph, edge = with_registration(params, graph, target, source, (a, b), found, config, told=first)
         return replace(graph, edges=(*graph.edges, edge)), False
     may_be_loop = config.loops and source - target > config.loop_gap
-    if may_be_loop and supports_loop(found, off, travelled(graph, target, source), config):
+    if may_be_loop and supports_loop(found, off, likely_drift(graph, target, source, config), config):
         graph, candidate = with_registration(params, graph, target, source, (a, b), found, config, told=False)
         return accept_consistent_loops(with_candidate(graph, candidate, config), config)
     return graph, False

@@ -12,6 +12,9 @@ from sfgs_jax.slam.keyframes._edges import relative_poses
 from sfgs_jax.slam.keyframes._pose_graph import padded_poses, pose_capacity
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 
+_DEVIATIONS = 5.0
+"""Standard deviations that a drift hardly exceeds, though errors of registrations have long tails."""
+
 
 def loop_pairs(graph: KeyframeGraph, config: GraphConfig) -> tuple[tuple[int, int], ...]:
     """Pairs (target, source) of the newest keyframe with earlier ones that look like it.
@@ -29,16 +32,21 @@ def loop_pairs(graph: KeyframeGraph, config: GraphConfig) -> tuple[tuple[int, in
     return tuple((int(i), newest) for i in order if alike[i] > config.loop_similarity)
 
 
-def travelled(graph: KeyframeGraph, start: int, end: int) -> float:
-    """Length of the path from one keyframe to a later one, metres.
+def likely_drift(graph: KeyframeGraph, start: int, end: int, config: GraphConfig) -> float:
+    """Largest drift that is likely between two keyframes, metres.
+
+    It is so many deviations of their positions, but no more than a share of the path between them.
 
     Args:
         graph: that holds them.
         start: number of the earlier keyframe.
         end: number of the later keyframe.
+        config: settings.
     """
     steps = np.diff(graph.poses[start : end + 1, 4:], axis=0)
-    return float(np.linalg.norm(steps, axis=1).sum())
+    travelled = np.linalg.norm(steps, axis=1).sum()
+    variances = np.trace(graph.covariances[[start, end], :3, :3], axis1=1, axis2=2)
+    return float(min(config.max_drift * travelled, _DEVIATIONS * np.sqrt(variances).sum()))
 
 
 def with_candidate(graph: KeyframeGraph, candidate: Edge, config: GraphConfig) -> KeyframeGraph:
