@@ -1,10 +1,10 @@
-"""How often a lost frame is recognised, and how often in the wrong place.
+"""Recognition of lost frames: its share, and the share of wrong places.
 
     python -m experiments.relocalisation [--sources building room redkitchen fr1_rpy tartanair]
 
-Every so many frames one is taken as a keyframe, and one between two of them is looked for as if it were lost
-and could be anywhere. Then the same frame is looked for without the keyframes of its own place, as in a room
-that the camera has never seen: whatever is found there is wrong.
+Every so many frames one is taken as a keyframe. One between two of them is looked for as if it were lost and
+could be anywhere. Then it is looked for without the keyframes near it in time. In a room that the camera has
+seen but once, whatever is found then is wrong.
 
 By the first rule, the keyframe with most inliers is believed. By the second, another one has to agree with
 it, and none may contradict it. A place counts as wrong beyond 10 cm or 0.1 rad. Real recordings are found

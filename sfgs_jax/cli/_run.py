@@ -178,19 +178,19 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
     )
     known = read_sensors(options.sensors) if options.sensors is not None else None
     path = None if options.sensors is None else options.sensors.absolute()
-    place = None if options.map is None else options.map.absolute()
+    place = None if options.map is None else options.map.resolve()
     config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam, path, place)
     folder = options.out or Path("runs") / recording.name
-    if place is not None and place == folder.absolute():
+    if place is not None and place == folder.resolve():
         raise InputError(f"{folder} holds the map to go on in: choose another folder with --out.")
+    # Before anything is overwritten: the map may be of another camera.
+    begun = None if place is None or options.resume else _in_map(place, options.slam, recording.camera)
     frames = play if options.realtime else frames
     with locked_folder(folder, make=not options.resume):
         if not options.resume:
             prepare_folder(folder, overwrite=options.overwrite)
         with logging_to(folder / "run.log"):
-            resumed = _resumed(folder, config, recording.camera) if options.resume else None
-            if resumed is None and place is not None:
-                resumed = _in_map(place, config.slam, recording.camera)
+            resumed = _resumed(folder, config, recording.camera) if options.resume else begun
             out = ResultFolder(folder, config, recording)
             out.begin()
             what = (options, out, resumed, frames, known)

@@ -549,3 +549,8 @@ def test_a_run_goes_on_in_the_map_of_another(tmp_path, capsys):
     assert "choose another folder" in capsys.readouterr().err
     assert run(source, tmp_path / "third", "--map", str(second)) == 2
     assert "--keep-map" in capsys.readouterr().err
+    # Another camera is refused before anything is overwritten.
+    other = "synthetic:frames=4,width=80,height=60"
+    assert run(other, second, "--map", str(first), "--overwrite") == 2
+    assert "another camera" in capsys.readouterr().err
+    assert len(load_ply(second / "map.ply").means) == after
