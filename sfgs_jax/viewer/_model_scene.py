@@ -10,7 +10,7 @@ from jaxtyping import Float
 from sfgs_jax.arrays import InputError
 from sfgs_jax.splatting import contents_of, load_coloured_points
 from sfgs_jax.splatting.mesh import Mesh, load_mesh
-from sfgs_jax.viewer._server import announce, embedded, page_address, start_server, wait_for_interrupt
+from sfgs_jax.viewer._server import Page, announce, start_server, wait_for_interrupt
 
 _UP, _AHEAD = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 """Of the axes of a map: y down, z forward."""
@@ -19,7 +19,7 @@ _POINT_SHARE = 0.002
 """Diameter of a point as a share of the cloud's size."""
 
 
-class ModelScene:
+class ModelScene(Page):
     """A mesh or a point cloud in a viser server's scene, in the axes of a map.
 
     Args:
@@ -34,7 +34,7 @@ class ModelScene:
     def __init__(
         self, server: viser.ViserServer, model: Mesh | tuple[Float[np.ndarray, "n 3"], np.ndarray]
     ) -> None:
-        self.server = server
+        super().__init__(server)
         if isinstance(model, Mesh):
             corners, count = model.vertices, f"{len(model.triangles):,} triangles"
             levels = np.round(255 * np.clip(model.rgb, 0, 1)).astype(np.uint8)
@@ -53,15 +53,6 @@ class ModelScene:
         start = server.initial_camera
         start.position = middle - 1.2 * np.linalg.norm(high - low) * (_AHEAD - 0.4 * _UP)
         start.look_at, start.up = middle, _UP
-
-    @property
-    def url(self) -> str:
-        """Address of the page on this machine."""
-        return page_address(self.server)
-
-    def _repr_html_(self) -> str:
-        """The page in a notebook's cell."""
-        return embedded(self.url)
 
     def close(self) -> None:
         """Stop the server."""

@@ -22,7 +22,7 @@ from sfgs_jax.viewer._modes import Look, Mode
 from sfgs_jax.viewer._painting import Painter
 from sfgs_jax.viewer._plain_text import plain_text
 from sfgs_jax.viewer._replay import Replay
-from sfgs_jax.viewer._server import embedded, page_address
+from sfgs_jax.viewer._server import Page
 from sfgs_jax.viewer._splats import Splats
 from sfgs_jax.viewer._stage import Stage
 
@@ -33,7 +33,7 @@ _REST_S = 0.4
 """Time after the last event of a slider before the map is sent again."""
 
 
-class MapScene:
+class MapScene(Page):
     """A map and a path in a viser server's scene, with controls.
 
     Args:
@@ -71,7 +71,7 @@ class MapScene:
         notes: tuple[str, ...] = (),
         max_gaussians: int = MOST_GAUSSIANS,
     ) -> None:
-        self.server = server
+        super().__init__(server)
         self._trajectory, self._keyframes = trajectory, keyframes
         self._index, self._look = 0, Look()
         # Rendering may have to compile first; the map's colours don't wait for it.
@@ -92,15 +92,6 @@ class MapScene:
         self._add_controls(camera, notes)
         self.show_frame(0)
         server.on_client_connect(lambda _: self._draw_frame())
-
-    @property
-    def url(self) -> str:
-        """Address of the page on this machine."""
-        return page_address(self.server)
-
-    def _repr_html_(self) -> str:
-        """The page in a notebook's cell."""
-        return embedded(self.url)
 
     def close(self) -> None:
         """Stop the replay and the server."""

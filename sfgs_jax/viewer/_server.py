@@ -35,6 +35,26 @@ def embedded(url: str) -> str:
     return f'<iframe src="{url}" width="100%" height="600" style="border: none"></iframe>'
 
 
+class Page:
+    """A page that a server shows; it shows itself in notebooks.
+
+    Args:
+        server: of the page.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.server = server
+
+    @property
+    def url(self) -> str:
+        """Address of the page on this machine."""
+        return page_address(self.server)
+
+    def _repr_html_(self) -> str:
+        """The page in a notebook's cell."""
+        return embedded(self.url)
+
+
 def announce(path: Path, url: str, host: str, *, open_browser: bool) -> None:
     """Print where the page is and who can open it, and open it if that is wanted.
 
