@@ -36,11 +36,13 @@ def with_features(kind: str) -> SlamConfig:
     return replace(WHOLE, tracking=replace(TRACKING, features=replace(TRACKING.features, kind=kind)))
 
 
+BLIND = replace(TRACKING.features, guidance=0.0)
 VARIANTS = {
     "whole system": WHOLE,
     "ORB for SuperFeats": with_features("orb"),
     "GICP alone": with_features("none"),
     "keypoints alone": replace(WHOLE, tracking=replace(TRACKING, use_surface=False)),
+    "without guided matching": replace(WHOLE, tracking=replace(TRACKING, features=BLIND)),
     "without landmarks": replace(WHOLE, graph=replace(GRAPH, window=0)),
     "without loops": replace(WHOLE, graph=replace(GRAPH, loops=False)),
     "without the factor graph": replace(WHOLE, graph=replace(GRAPH, enabled=False)),

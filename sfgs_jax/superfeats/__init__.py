@@ -10,6 +10,7 @@ from sfgs_jax.superfeats._features import Features as Features
 from sfgs_jax.superfeats._features import Matches as Matches
 from sfgs_jax.superfeats._features import pack_features as pack_features
 from sfgs_jax.superfeats._matching import MIN_SIMILARITY as MIN_SIMILARITY
+from sfgs_jax.superfeats._matching import Expected as Expected
 from sfgs_jax.superfeats._matching import match as match
 from sfgs_jax.superfeats._motion_filter import MotionFilterConfig as MotionFilterConfig
 from sfgs_jax.superfeats._motion_filter import filter_by_motion as filter_by_motion

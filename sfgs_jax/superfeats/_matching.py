@@ -1,5 +1,6 @@
 """Matching of keypoints: mutual nearest neighbours by cosine similarity."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -17,7 +18,32 @@ _ROWS = 256
 """Rows of the table of cosines that are made and used at a time, so that they stay in the cache."""
 
 
-def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMILARITY) -> Matches:
+class Expected(eqx.Module):
+    """Where the keypoints of image b should lie in image a, as far as the motion between them is known.
+
+    Where texture repeats itself, such as on tiles, many keypoints look alike, and only their places tell them
+    apart. A pair loses some of its similarity by lying elsewhere, by the square of the distance, and beyond
+    `reach` no more than `penalty`. So places decide between keypoints that look alike. A motion that was not
+    expected is still found where keypoints differ.
+
+    Attributes:
+        pixels: (M, 2) places (u, v) in image a.
+        reach: distance in pixels from which on a pair loses the whole penalty.
+        penalty: the most that the cosine of a pair counts less.
+    """
+
+    pixels: Float[Array, "m 2"]
+    reach: float | Scalar
+    penalty: float | Scalar
+
+
+def match(
+    a: Features,
+    b: Features,
+    *,
+    min_similarity: float | Scalar = MIN_SIMILARITY,
+    expected: Expected | None = None,
+) -> Matches:
     """Mutual nearest neighbours: each is the other's most similar descriptor, and they are similar enough.
 
     No keypoint of either image is in two matches; among equally similar ones the first wins. The similarities
@@ -27,6 +53,8 @@ def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMI
         a: K keypoints.
         b: M keypoints, with descriptors of the same length.
         min_similarity: cosine that a match must exceed, from 0 to 1. A new value does not compile anew.
+        expected: places of b's keypoints in image a, where the motion is known; they help to choose
+            neighbours. The similarities of the matches, and their floor, are without the penalty.
 
     Raises:
         InputError: descriptors differ in length, or `min_similarity` lies outside [0, 1].
@@ -42,36 +70,54 @@ def match(a: Features, b: Features, *, min_similarity: float | Scalar = MIN_SIMI
         )
     if isinstance(min_similarity, float | int) and not 0 <= min_similarity <= 1:
         raise InputError(f"min_similarity is a cosine from 0 to 1, not {min_similarity}.")
-    return _match(a, b, jnp.asarray(min_similarity, a.descriptors.dtype))
+    return _match(a, b, jnp.asarray(min_similarity, a.descriptors.dtype), expected)
 
 
 @jax.jit
-def _match(a: Features, b: Features, min_similarity: Scalar) -> Matches:
-    similarity, index_b, mutual = _nearest(a, b)
+def _match(a: Features, b: Features, min_similarity: Scalar, expected: Expected | None) -> Matches:
+    index_b, mutual = _nearest(a, b, lax.stop_gradient(expected))
+    mutual &= a.valid & b.valid[index_b]
     # Several equal descriptors are all nearest neighbours of one; the first keeps it.
     mutual &= first_claim(index_b, mutual, len(b.valid))
-    return gather_matches(a, b, index_b, mutual & (similarity > min_similarity))
+    nearest = gather_matches(a, b, index_b, mutual)
+    valid = nearest.valid & (nearest.similarity > min_similarity)
+    return jax.tree.map(lambda x: jnp.where(valid, x, jnp.zeros((), x.dtype)), nearest)
 
 
-def _nearest(a: Features, b: Features) -> tuple[Float[Array, " k"], Int[Array, " k"], Bool[Array, " k"]]:
-    """Nearest neighbours in b of a's keypoints.
+def _nearest(
+    a: Features, b: Features, expected: Expected | None
+) -> tuple[Int[Array, " k"], Bool[Array, " k"]]:
+    """Nearest neighbours in b of a's keypoints, less the penalties of pairs that lie elsewhere.
 
     Returns:
-        The highest cosine (K,), the slot in b (K,) that has it, and whether the slot has no higher one (K,).
+        The slot in b (K,) of the nearest, and whether a's keypoint is the nearest of that slot too (K,).
     """
-    left, right = _clean_descriptors(a), _clean_descriptors(b)
-    count = len(left)
-    blocks = jnp.pad(left, ((0, -count % _ROWS), (0, 0))).reshape(-1, _ROWS, left.shape[1])
+    right, count = _clean_descriptors(b), len(a.valid)
 
-    def step(best_of_column: Array, rows: Array) -> tuple[Array, tuple[Array, Array]]:
+    def blocks(x: Array) -> Array:
+        return jnp.pad(x, ((0, -count % _ROWS), (0, 0))).reshape(-1, _ROWS, x.shape[1])
+
+    def step(best_of_column: Array, block: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+        rows, pixels = block
         table = cosines(rows, right)
+        if expected is not None:
+            table -= _penalties(pixels, expected)
         best_of_row = table.max(axis=1)
         found = best_of_row, first_true(table == best_of_row[:, None])
         return jnp.maximum(best_of_column, table.max(axis=0)), found
 
-    best_of_column, nearest = lax.scan(step, jnp.full(len(right), -jnp.inf, right.dtype), blocks)
-    similarity, index_b = (values.reshape(-1)[:count] for values in nearest)
-    return similarity, index_b, similarity == best_of_column[index_b]
+    nothing = jnp.full(len(right), -jnp.inf, right.dtype)
+    places = jnp.where(a.valid[:, None], a.keypoints, 0)
+    best_of_column, nearest = lax.scan(step, nothing, (blocks(_clean_descriptors(a)), blocks(places)))
+    best, index_b = (values.reshape(-1)[:count] for values in nearest)
+    return index_b, best == best_of_column[index_b]
+
+
+def _penalties(pixels: Float[Array, "k 2"], expected: Expected) -> Float[Array, "k m"]:
+    """What the cosine of each pair counts less: all of it far away, and where the place is unknown."""
+    square = sum((pixels[:, axis, None] - expected.pixels[None, :, axis]) ** 2 for axis in (0, 1))
+    share = square / expected.reach**2
+    return expected.penalty * jnp.where(share < 1, share, 1)
 
 
 def _clean_descriptors(features: Features) -> Float[Array, "k d"]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax.arrays import InputError
-from sfgs_jax.superfeats import Features, match
+from sfgs_jax.superfeats import Expected, Features, match
 from tests.superfeats.feature_sets import make_features, unit
 
 
@@ -63,6 +63,42 @@ def test_equal_descriptors_are_matched_once(rng):
     matches = match(a, b)
     assert np.asarray(matches.valid).tolist() == [True, False, False, False]
     assert int(matches.index_b[0]) == 0
+
+
+@pytest.fixture
+def tiles(rng):
+    """A row of 12 tiles, 40 pixels wide, that look alike but for noise, and the same row 10 pixels on."""
+    tile = np.repeat(unit(rng.normal(size=(1, 64))), 12, axis=0)
+    places = np.stack([40.0 * np.arange(12), np.full(12, 100.0)], axis=1)
+    b, a = (
+        make_features(xy, unit(tile + 0.005 * rng.normal(size=(12, 64)))) for xy in (places, places + (10, 0))
+    )
+    return a, b
+
+
+def test_the_expected_places_tell_tiles_apart(tiles):
+    a, b = tiles
+    right = np.arange(12)
+    blind = match(a, b)
+    assert np.sum(np.asarray(blind.valid) & (np.asarray(blind.index_b) == right)) < 4
+    for error in (0.0, 12.0, -12.0):  # of the motion that was expected, less than half a tile
+        guided = match(a, b, expected=Expected(a.keypoints.at[:, 0].add(error), 160.0, 0.2))
+        np.testing.assert_array_equal(guided.index_b, right)
+        assert np.all(guided.valid)
+        # A match is as similar as it looks, wherever it lies.
+        cosine = np.sum(np.asarray(a.descriptors) * np.asarray(b.descriptors), axis=1)
+        np.testing.assert_allclose(guided.similarity, cosine, rtol=1e-5)
+
+
+def test_what_looks_like_nothing_else_matches_wherever_it_lies(pair, rng):
+    a, b = pair
+    far = jnp.asarray(rng.uniform(-1e4, 1e4, b.keypoints.shape), jnp.float32)
+    unknown = far.at[::2].set(jnp.nan).at[1::2].set(jnp.inf)
+    blind = match(a, b)
+    for pixels in (far, unknown):
+        guided = match(a, b, expected=Expected(pixels, 160.0, 0.2))
+        np.testing.assert_array_equal(guided.valid, blind.valid)
+        np.testing.assert_array_equal(guided.index_b, blind.index_b)
 
 
 def test_empty_slots_never_match_whatever_they_hold(pair):

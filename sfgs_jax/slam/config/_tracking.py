@@ -22,6 +22,11 @@ class FeaturesConfig:
     """Slots for the keypoints of a frame."""
     min_similarity: float = MIN_SIMILARITY
     """Least cosine between the descriptors of a match."""
+    guidance: float = 0.2
+    """Similarity that a match far from where the motion is expected to bring it loses against its rivals.
+    Texture that repeats itself, such as tiles, is told apart by this alone. 0 matches by looks alone."""
+    guidance_reach: float = 0.25
+    """Distance from which on a match loses all of that, as a share of the image's width."""
     match_weights: MatchWeights = "equal"
     """Weights of the matches in a motion. With `equal`, all matches weigh the same. With `learned`, a match
     weighs by how far its similarity exceeds the floor, and by its keypoints' scores. Then a pose has
@@ -64,9 +69,12 @@ class FeaturesConfig:
         check_choice(self, "match_weights", get_args(MatchWeights))
         check_counts(self, 1, "max_keypoints", "max_rigid_matches", "min_inliers", "min_inliers_alone")
         check_range(self, -1, 1, "min_similarity")
+        check_range(self, 0, 2, "guidance")
         check_range(self, 0, 1, "min_contrast", "min_inlier_share", "min_inlier_share_alone")
         check_positive(self, "depth_tolerance", "max_distance", "pixel_sigma", "inverse_depth_sigma")
-        check_positive(self, "kernel_width", "inlier_pixels", "inlier_depth_sigmas", "correlation")
+        check_positive(
+            self, "guidance_reach", "kernel_width", "inlier_pixels", "inlier_depth_sigmas", "correlation"
+        )
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from sfgs_jax.sensors import carried, row_places
 from sfgs_jax.slam.config import FeaturesConfig
 from sfgs_jax.slam.state._frame_features import Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
-from sfgs_jax.superfeats import Matches, match
+from sfgs_jax.superfeats import Expected, Matches, match
 
 _STEPS = 8
 
@@ -41,10 +41,11 @@ def motion_from_keypoints(
 ) -> FeatureRegistration:
     """Match two frames' keypoints and find the motion between the frames.
 
-    The motion starts from the guess if that explains most of the matches. Otherwise a rigid motion that lays
-    the matched points on each other is tried, by graduated non-convexity; it needs depth in both frames. Then
-    Gauss-Newton with a Geman-McClure kernel minimises the reprojection error of the target's points. That is
-    an error of pixels and, where the source has depth, of inverse depth.
+    Of keypoints that look alike, those match that lie where the guess expects them. The motion starts from
+    the guess if that explains most of the matches. Otherwise a rigid motion that lays the matched points on
+    each other is tried, by graduated non-convexity; it needs depth in both frames. Then Gauss-Newton with a
+    Geman-McClure kernel minimises the reprojection error of the target's points. That is an error of pixels
+    and, where the source has depth, of inverse depth.
 
     The motion is differentiable by all iterations; with learned weights also with respect to descriptors and
     scores. Which keypoints match, and where the iterations start, has no derivative.
@@ -62,7 +63,12 @@ def motion_from_keypoints(
         # Features are switched off.
         nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
         return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
-    matches = match(source.features, target.features, min_similarity=config.min_similarity)
+    matches = match(
+        source.features,
+        target.features,
+        min_similarity=config.min_similarity,
+        expected=_expected(target, guess, camera, config),
+    )
     valid = matches.valid & target.measured[matches.index_b]
     weights = _weights(source, target, matches, valid, config)
     rows = _Rows(
@@ -104,6 +110,19 @@ def num_explained(
     points, pixels = target.points[matched.index], source.features.keypoints
     rows = _Rows(points, pixels, source.depth, matched.inliers, sweep)
     return jnp.sum(_explained(T_target_source, rows, camera, config, config.inlier_pixels), dtype=jnp.int32)
+
+
+def _expected(
+    target: Keypoints, guess: jaxlie.SE3, camera: Camera, config: FeaturesConfig
+) -> Expected | None:
+    """Where the guess brings the target's keypoints in the source's image."""
+    if config.guidance == 0:
+        return None
+    points = se3.transform(se3.inverse(guess), jnp.where(target.measured[:, None], target.points, 0))
+    seen = target.measured & (points[:, 2] > 0)
+    # What has no image there is expected nowhere.
+    pixels = jnp.where(seen[:, None], camera.project(points), jnp.inf)
+    return Expected(pixels, config.guidance_reach * camera.width, config.guidance)
 
 
 def _weights(

@@ -339,8 +339,10 @@ def _moved(
     identity = se3.identity(before.wxyz_xyz.dtype).wxyz_xyz
     measured = se3.compose(se3.inverse(before), after.T_world_cam).wxyz_xyz
     predicted = tracker.predicted_motion
-    # A frame that rests on the motion model teaches it nothing. After a lost frame there is no motion.
+    # A frame that rests on the motion model teaches it nothing. A lost one leaves a guess, which is no longer
+    # believed where nothing else confirms it.
     motion = jnp.where(by_model, predicted.wxyz_xyz, measured)
+    motion = jnp.where(jnp.asarray(relocalised), identity, motion)
     known = ~jnp.asarray(relocalised) & jnp.where(by_model, tracker.has_motion, tracker.num_keyframes > 0)
     return eqx.tree_at(
         lambda t: (
@@ -355,8 +357,8 @@ def _moved(
         ),
         after,
         (
-            jaxlie.SE3(jnp.where(tracked & ~jnp.asarray(relocalised), motion, identity)),
-            jnp.where(tracked, tracker.since_tracked, 0),
+            jaxlie.SE3(jnp.where(tracked, motion, tracker.T_previous_current.wxyz_xyz)),
+            jnp.where(tracked, tracker.since_tracked, tracker.motion_seconds),
             jnp.where(tracked, 0, tracker.since_tracked),
             tracked & known,
             jnp.where(tracked, 0, tracker.lost_in_a_row + 1),

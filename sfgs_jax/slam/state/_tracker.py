@@ -66,7 +66,8 @@ class Tracker(eqx.Module):
         current: slot of the reference that frames are registered to.
         num_keyframes: keyframes taken so far.
         T_reference_cam: pose of the newest tracked frame in the current reference.
-        T_previous_current: motion between the two newest tracked frames.
+        T_previous_current: motion between the two newest tracked frames; none if the newest was found by its
+            looks.
         motion_seconds: duration of that motion; 0 where it is unknown.
         since_tracked: seconds since the newest tracked frame, up to the newest frame.
         last: features of the newest tracked frame that could become a keyframe, not rectified.
