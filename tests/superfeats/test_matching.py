@@ -71,7 +71,8 @@ def tiles(rng):
     tile = np.repeat(unit(rng.normal(size=(1, 64))), 12, axis=0)
     places = np.stack([40.0 * np.arange(12), np.full(12, 100.0)], axis=1)
     b, a = (
-        make_features(xy, unit(tile + 0.005 * rng.normal(size=(12, 64)))) for xy in (places, places + (10, 0))
+        make_features(xy, unit(tile + 0.005 * rng.normal(size=(12, 64))))
+        for xy in (places, places + np.asarray([10, 0]))
     )
     return a, b
 
