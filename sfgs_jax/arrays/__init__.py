@@ -28,6 +28,7 @@ from sfgs_jax.arrays._printing import is_known as is_known
 from sfgs_jax.arrays._printing import printed as printed
 from sfgs_jax.arrays._printing import printed_count as printed_count
 from sfgs_jax.arrays._printing import printed_fields as printed_fields
+from sfgs_jax.arrays._printing import printed_length as printed_length
 from sfgs_jax.arrays._pytrees import pytree as pytree
 from sfgs_jax.arrays._settings import check_choice as check_choice
 from sfgs_jax.arrays._settings import check_counts as check_counts

@@ -57,3 +57,8 @@ def printed_count(used: Any) -> str:
     if not is_known(used) or not isinstance(used, jax.Array | np.ndarray) or used.ndim != 1:
         return eqx.tree_pformat(used)
     return f"{int(np.sum(np.asarray(used)))} of {used.shape[0]}"
+
+
+def printed_length(values: Any) -> str:
+    """Number of elements; anything that has none is printed as it is."""
+    return str(len(values)) if hasattr(values, "__len__") else printed(values)

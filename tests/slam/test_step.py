@@ -49,6 +49,25 @@ def test_tracks_the_room_from_the_first_camera(room, frames, config):
         assert np.sqrt(np.trace(info.covariance[:3, :3])) < 0.05
 
 
+def test_a_state_prints_in_a_line_what_a_reader_wants_to_know(room, frames, config):
+    state, info = slam.step(slam.init(room.camera, config), frames[0])
+    count = f"{state.mapping.num_gaussians} of {config.mapping.capacity}"
+    graph = "KeyframeGraph(keyframes=1, edges=0, loops=0, landmarks=0)"
+    sh = f"f32[{config.mapping.capacity},1,3]"
+    mapping = f"MapState(gaussians=Gaussians(valid={count}, sh={sh}), views=1, num_steps=0)"
+    text = f"SlamState(camera={room.camera}, tracked=1, lost=0, graph={graph}, mapping={mapping})"
+    assert repr(state) == text
+    assert repr(slam.Run(state)) == f"Run(num_frames=0, is_finished=False, state={text})"
+    assert repr(state.tracker) == "Tracker(num_keyframes=1, T_world_cam=(0, 0, 0) m 0°, lost_in_a_row=0)"
+    assert repr(state.graph.keyframes) == "(Keyframe(frame=0, reference=0),)"
+    # Neither traced nor mapped states have numbers.
+    traced = []
+    jax.jit(lambda tracker: traced.append(repr(tracker)))(state.tracker)
+    assert traced == ["Tracker(num_keyframes=i32[], T_world_cam=f32[7], lost_in_a_row=i32[])"]
+    assert "lost=None" in repr(jax.tree.map(lambda _: None, state))
+    assert "tracked=True" in repr(info)
+
+
 def test_a_step_leaves_the_state_it_was_given(room, frames, config):
     state, _ = slam.step(slam.init(room.camera, config), frames[0])
     before = [np.asarray(leaf).copy() for leaf in jax.tree.leaves(state)]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import FrameError, InputError, excerpt
+from sfgs_jax.arrays import FrameError, InputError, Text, excerpt, printed_fields
 from sfgs_jax.geometry import Camera, Frame, Trajectory
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._graph_results import finish
@@ -103,6 +103,11 @@ class Run:
     interrupted: bool = False
     storage_failure: str = ""
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
+
+    def __repr__(self) -> str:
+        return printed_fields(
+            "Run", num_frames=self.num_frames, is_finished=self.is_finished, state=Text(repr(self.state))
+        )
 
     def advance(self, **changes: Any) -> None:
         """Change several attributes at once: an interruption finds all of them changed, or none.

@@ -6,7 +6,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
 
-from sfgs_jax.arrays import pytree
+from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
 from sfgs_jax.geometry import Trajectory, se3, slerp
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 
@@ -29,6 +29,9 @@ class FrameLog:
     keyframes: Int[np.ndarray, " n"]
     motions: Float[np.ndarray, "n 7"]
     covariances: Float[np.ndarray, "n 6 6"]
+
+    def __repr__(self) -> str:
+        return printed_fields("FrameLog", frames=Text(printed_length(self.timestamps)))
 
     def with_frame(
         self,

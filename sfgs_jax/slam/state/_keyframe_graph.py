@@ -9,7 +9,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
 
-from sfgs_jax.arrays import pytree
+from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
 from sfgs_jax.slam.state._depth_information import DepthInformation, no_depth_information
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 
@@ -40,6 +40,9 @@ class Keyframe:
     twist: Float[np.ndarray, "6"]
     times: Float[np.ndarray, "3"]
     edition: int
+
+    def __repr__(self) -> str:
+        return printed_fields("Keyframe", frame=self.frame, reference=self.reference)
 
 
 @pytree
@@ -207,6 +210,15 @@ class KeyframeGraph:
     depth: DepthInformation
     offsets: Float[np.ndarray, " G"]
     times_covariance: Float[np.ndarray, "3 3"]
+
+    def __repr__(self) -> str:
+        return printed_fields(
+            "KeyframeGraph",
+            keyframes=Text(printed_length(self.keyframes)),
+            edges=Text(printed_length(self.edges)),
+            loops=sum(bool(edge.revisit) for edge in self.edges or ()),
+            landmarks=Text(printed_length(self.landmarks.points)),
+        )
 
     @property
     def loops(self) -> tuple[Edge, ...]:

@@ -6,7 +6,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt8
 
-from sfgs_jax.arrays import bucket, pytree
+from sfgs_jax.arrays import Text, bucket, printed_fields, printed_length, pytree
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.state._gaussian_map import GaussianMap, empty_map
 
@@ -39,6 +39,9 @@ class View:
     frame: int
     gain: Float[Array | np.ndarray, "3"]
 
+    def __repr__(self) -> str:
+        return printed_fields("View", frame=self.frame, keyframe=self.keyframe, rgb=self.rgb)
+
 
 @pytree
 @dataclass(frozen=True, eq=False)
@@ -63,6 +66,14 @@ class MapState:
     num_steps: int
     pair_capacity: int
     dropped_seeds: int
+
+    def __repr__(self) -> str:
+        return printed_fields(
+            "MapState",
+            gaussians=Text(repr(self.map.gaussians)),
+            views=Text(printed_length(self.views)),
+            num_steps=self.num_steps,
+        )
 
     @property
     def num_gaussians(self) -> int:

@@ -6,7 +6,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import pytree
+from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
 from sfgs_jax.geometry import Camera, Trajectory
 from sfgs_jax.slam.config import MappingConfig, SlamConfig
 from sfgs_jax.slam.state._frame_log import FrameLog, covariances_of, trajectory_of
@@ -45,6 +45,16 @@ class SlamState:
     last_timestamp: float
     last_view: int
     num_lost: int
+
+    def __repr__(self) -> str:
+        return printed_fields(
+            "SlamState",
+            camera=Text(repr(self.camera)),
+            tracked=Text(printed_length(self.log.timestamps)),
+            lost=self.num_lost,
+            graph=Text(repr(self.graph)),
+            mapping=Text(repr(self.mapping)),
+        )
 
     @property
     def camera(self) -> Camera:

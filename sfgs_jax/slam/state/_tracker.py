@@ -10,6 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import Text, printed_fields
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.gicp import RowMotion
 from sfgs_jax.sensors import DepthCorrection, SensorTiming
@@ -103,6 +104,15 @@ class Tracker(eqx.Module):
     motion_model_travel: Float[Array, ""]
     timing: TimingInformation
     suspicion: Suspicion
+
+    def __repr__(self) -> str:
+        several = self.reference_keyframes.ndim != 1
+        return printed_fields(
+            "Tracker",
+            num_keyframes=self.num_keyframes,
+            T_world_cam=self.reference_poses if several else Text(se3.text_of(self.T_world_cam)),
+            lost_in_a_row=self.lost_in_a_row,
+        )
 
     @property
     def T_world_cam(self) -> jaxlie.SE3:
