@@ -49,7 +49,7 @@ def box(count: int) -> Gaussians:
 def share_drawn(page: Page) -> float:
     """Share of the canvas that is not white."""
     image = cv2.imdecode(np.frombuffer(page.locator("canvas").first.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-    return float(np.mean(image.min(axis=-1) < 230))
+    return 0.0 if image is None else float(np.mean(image.min(axis=-1) < 230))
 
 
 def row(browser: Browser, count: int, folder: Path) -> str:
