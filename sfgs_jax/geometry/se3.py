@@ -38,6 +38,7 @@ __all__ = [
     "compose",
     "composed_covariances",
     "exp",
+    "exps_of",
     "extent",
     "from_matrix",
     "identity",
@@ -343,6 +344,20 @@ def logs_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:
     bend = (1 - half / np.tan(half)) / (2 * half) ** 2
     v = t - np.cross(w, t) / 2 + bend * np.cross(w, np.cross(w, t))
     return np.concatenate([v, w], axis=1)
+
+
+def exps_of(tangents: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 4 4"]:
+    """Homogeneous matrices of tangents (translation first) on the host, in float64; `logs_of` undoes it."""
+    v, w = np.split(np.asarray(tangents, np.float64), 2, axis=1)
+    turn = np.linalg.norm(w, axis=1, keepdims=True)
+    half = np.sinc(turn / (2 * np.pi)) / 2  # sin(turn / 2) / turn
+    angle = np.maximum(turn, 1e-4)  # below, the second-order term is less than rounding
+    once = 2 * half**2 * np.cross(w, v)
+    twice = (angle - np.sin(angle)) / angle**3 * np.cross(w, np.cross(w, v))
+    matrices = np.tile(np.eye(4), (len(v), 1, 1))
+    matrices[:, :3, :3] = rotations_from_quaternions(np.concatenate([np.cos(turn / 2), half * w], axis=1))
+    matrices[:, :3, 3] = v + once + twice
+    return matrices
 
 
 @_promoting

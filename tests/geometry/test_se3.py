@@ -136,6 +136,12 @@ def test_host_and_device_agree_on_logs_and_adjoints(float64, key):
     np.testing.assert_allclose(se3.adjoints_of(matrices), se3.adjoint(T), atol=1e-12)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1e-3, 1.0, 3.1])
+def test_host_exponentials_undo_the_logs(angle):
+    tangents = np.asarray([[1.0, -2.0, 3.0, *(angle * np.asarray([0.36, 0.48, -0.8]))]])
+    np.testing.assert_allclose(se3.logs_of(se3.exps_of(tangents)), tangents, rtol=1e-11, atol=1e-15)
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1.0, np.pi - 1e-6, np.pi])
 def test_host_logs_are_exact_at_every_angle(angle):
     axis = np.asarray([0.36, 0.48, -0.8])

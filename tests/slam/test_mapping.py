@@ -12,7 +12,7 @@ import pytest
 from sfgs_jax import Camera, slam
 from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.config import LearningRates, MappingConfig
 from sfgs_jax.slam.mapping import (
     image_shift,
     insert_view,
@@ -24,7 +24,7 @@ from sfgs_jax.slam.mapping import (
     view_is_due,
     view_of,
 )
-from sfgs_jax.slam.state import View, empty_log, gains_of, grow, move
+from sfgs_jax.slam.state import View, corrections_of, empty_log, gains_of, grow, move
 from sfgs_jax.splatting import RenderConfig, render
 
 DEFAULT = MappingConfig()
@@ -288,18 +288,21 @@ def test_views_of_other_exposures_make_one_map(seeded, frames):
     assert float(told.loss) < 0.5 * float(alike.loss)
 
 
-def test_gains_of_frames_lie_between_those_of_the_views():
+def test_gains_and_corrections_of_frames_lie_between_those_of_the_views():
     log = empty_log()
     for number in range(5):
         log = log.with_frame(0.1 * number**2, number, 0, se3.identity(), np.eye(6))
     image = np.zeros((1, 1, 3), np.uint8)
     views = tuple(
         View(image, np.zeros((1, 1), np.float32), np.ones((1, 1), bool), np.zeros(6, np.float32), 0,
-             se3.identity(), number, np.full(3, gain, np.float32))
+             se3.identity(), number, np.full(3, gain, np.float32), np.full(6, gain / 1000, np.float32))
         for number, gain in ((3, 1.5), (1, 0.5))
     )  # fmt: skip
     np.testing.assert_allclose(gains_of(log, views)[:, 0], [0.5, 0.5, 0.875, 1.5, 1.5])
     np.testing.assert_array_equal(gains_of(log, ()), np.ones((5, 3)))
+    expected = np.asarray([5e-4, 5e-4, 8.75e-4, 1.5e-3, 1.5e-3])
+    np.testing.assert_allclose(corrections_of(log, views), np.tile(expected[:, None], 6), rtol=1e-6)
+    np.testing.assert_array_equal(corrections_of(log, ()), np.zeros((5, 6)))
 
 
 @pytest.fixture(scope="module")
@@ -329,6 +332,31 @@ def test_the_quality_of_a_small_map(refined, frames):
         assert int(out.overflow) == 0
         figures.append(float(psnr(out.rgb, jnp.asarray(frames[number].rgb))))
     assert np.mean(figures) > QUALITY_DB - 0.5
+
+
+def test_refinement_turns_views_and_their_neighbours_to_where_the_images_fit(refined, rng):
+    """Of a map that stays as it is; views are turned by a third of a degree at first, about half a pixel."""
+    state, mapping, _ = refined
+    turns = rng.normal(0, 0.006 / np.sqrt(3), (len(mapping.views), 6)) * [0, 0, 0, 1, 1, 1]
+    views = tuple(
+        replace(view, correction=np.asarray(turn, np.float32))
+        for view, turn in zip(mapping.views, turns, strict=True)
+    )
+    spoiled = mapping = replace(mapping, views=views)
+    rates = LearningRates(0.0, 0.0, 0.0, 0.0, 0.0, poses=1e-3)
+    config = state.config.mapping
+    config = replace(config, optimisation=replace(config.optimisation, learning_rates=rates))
+    for number in range(80):
+        done = number / 80
+        mapping, _ = refine_once(mapping, state.mapping_camera, config, number=number, done=done, seed=0)
+
+    def off(mapping):
+        """Angles by which the frames, views or not, are turned from where they were tracked, radians."""
+        poses = replace(state, mapping=mapping).trajectory.poses
+        return np.linalg.norm(se3.logs_of(np.linalg.inv(state.trajectory.poses) @ poses)[:, 3:], axis=1)
+
+    assert off(spoiled).mean() > 0.004
+    assert off(mapping).mean() < off(spoiled).mean() / 3
 
 
 def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):

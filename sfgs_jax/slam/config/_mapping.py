@@ -20,10 +20,13 @@ class LearningRates:
     """Learning rate of the opacities before the sigmoid."""
     sh: float = 0.05
     """Learning rate of the spherical-harmonics coefficients."""
+    poses: float = 3e-4
+    """Step of a view's pose along each direction in the refinement, metres and radians. The image tells
+    only which way to go. 0 leaves the poses as they were tracked."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
-        check_range(self, 0, math.inf, "means", "quaternions", "log_scales", "opacity_logits", "sh")
+        check_range(self, 0, math.inf, "means", "quaternions", "log_scales", "opacity_logits", "sh", "poses")
 
 
 @dataclass(frozen=True)

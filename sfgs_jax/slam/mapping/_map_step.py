@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from sfgs_jax.geometry import Camera
+from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time, fitted_gain, with_gain
 from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
 from sfgs_jax.slam.mapping._seeding import uncovered
@@ -23,6 +23,10 @@ _MIN_ALPHA = 0.5
 """Accumulated opacity below which the map's depth says nothing about where its Gaussians should be."""
 _PRIOR_SHARE = 0.1
 """What a gain of 1 counts for, as a share of a view's pixels, so that a chain of views does not drift."""
+
+
+_About = tuple[Array, Array, Array, Array]
+"""Fields of `MapStep` that come with the loss: missing, gain, seed_gain, overflow."""
 
 
 def mapping_loss(
@@ -80,6 +84,7 @@ class MapStep(NamedTuple):
         seed_gain: the same for the colours of new Gaussians, where the map is still transparent.
         overflow: pairs that did not fit. Where it is not 0 the rendering was incomplete; repeat the step with
             more room.
+        pose_gradient: (6,) of the loss by the tangent of the view's pose, on the right.
     """
 
     map: GaussianMap
@@ -88,6 +93,7 @@ class MapStep(NamedTuple):
     gain: Float[Array, "3"]
     seed_gain: Float[Array, "3"]
     overflow: Int[Array, ""]
+    pose_gradient: Float[Array, "6"]
 
 
 @jax.jit
@@ -121,10 +127,18 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
         view: images to be like.
         T_world_cam: its pose when colour's middle row was exposed.
     """
-    loss_of = partial(_loss, params, gaussian_map.gaussians, view, T_world_cam)
-    values = parameters(gaussian_map.gaussians)
-    (loss, about), gradients = jax.value_and_grad(loss_of, has_aux=True)(values)
-    return MapStep(_adam(gaussian_map, gradients, params.config, params.rate), loss, *about)
+
+    def loss_of(values: Parameters, delta: Float[Array, "6"]) -> tuple[Array, _About]:
+        T = se3.compose(T_world_cam, se3.exp(delta))
+        return _loss(params, gaussian_map.gaussians, view, T, values)
+
+    values, still = parameters(gaussian_map.gaussians), jnp.zeros(6)
+    (loss, (missing, gain, seed_gain, overflow)), found = jax.value_and_grad(
+        loss_of, argnums=(0, 1), has_aux=True
+    )(values, still)
+    gradients, pose_gradient = found
+    optimised = _adam(gaussian_map, gradients, params.config, params.rate)
+    return MapStep(optimised, loss, missing, gain, seed_gain, overflow, pose_gradient)
 
 
 @jax.jit
@@ -134,12 +148,13 @@ def compare_with_map(
     """All that `map_step` finds but no step: the map comes back as it was. Arguments as of `map_step`."""
     values = parameters(gaussian_map.gaussians)
     loss, about = _loss(params, gaussian_map.gaussians, view, T_world_cam, values)
-    return MapStep(gaussian_map, loss, *about)
+    missing, gain, seed_gain, overflow = about
+    return MapStep(gaussian_map, loss, missing, gain, seed_gain, overflow, jnp.zeros(6))
 
 
 def _loss(
     params: MapParams, gaussians: Gaussians, view: View, T_world_cam: jaxlie.SE3, values: Parameters
-) -> tuple[Array, tuple[Array, Array, Array, Array]]:
+) -> tuple[Array, _About]:
     """Loss of the map with other values of its parameters, and the fields of `MapStep` behind it."""
     rgb, depth = seen_by(view, params.camera, params.timing)
     shutter = None

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
@@ -78,12 +79,13 @@ def follow_trajectory(mapping: MapState, log: FrameLog, trajectory: Trajectory) 
     """The map with its views where the trajectory has their frames.
 
     While a run lasts, a view stays where it is in its keyframe. Later frames between two keyframes share the
-    correction of the motion between them, so at the end their views do too.
+    correction of the motion between them, so at the end their views do too. What a view's image told about
+    its pose stays beside that.
 
     Args:
         mapping: the map, which knows where the keyframes are.
         log: the frames.
-        trajectory: their poses.
+        trajectory: their poses, without the views' corrections.
     """
     rows = {number: row for row, number in enumerate(log.numbers.tolist())}
     T_world_keyframe = se3.matrices_of(mapping.keyframe_poses)
@@ -166,6 +168,7 @@ def step_on_view(
     *,
     rate: float = 1.0,
     learn: bool = True,
+    move_view: bool = False,
 ) -> tuple[MapState, MapStep]:
     """One map step on a view, with as much room for pairs as it needs.
 
@@ -176,6 +179,7 @@ def step_on_view(
         config: settings.
         rate: factor on the learning rates.
         learn: take the step; otherwise the view is only compared with the map.
+        move_view: take a step of the view's pose too.
 
     Returns:
         The map state after the step, and what the step found.
@@ -203,14 +207,33 @@ def step_on_view(
     if num_steps % config.prune_interval == 0:
         optimised = prune(optimised, config.prune_opacity)
     views = list(mapping.views)
-    views[number] = replace(view, gain=np.asarray(done.gain))
+    correction = _corrected(view, done, rate * config.optimisation.learning_rates.poses * move_view)
+    views[number] = replace(view, gain=np.asarray(done.gain), correction=correction)
     return replace(mapping, map=optimised, views=tuple(views), num_steps=num_steps), done
 
 
 def _pose(view: View, mapping: MapState) -> jaxlie.SE3:
-    """`T_world_cam` of a view, by where its keyframe is."""
+    """`T_world_cam` of a view, by where its keyframe is and by what its image told."""
     keyframe = jaxlie.SE3(jnp.asarray(mapping.keyframe_poses[view.keyframe]))
-    return se3.compose(keyframe, view.T_keyframe_cam)
+    return _placed(keyframe, view.T_keyframe_cam, jnp.asarray(view.correction))
+
+
+@jax.jit
+def _placed(T_world_keyframe: jaxlie.SE3, T_keyframe_cam: jaxlie.SE3, correction: Array) -> jaxlie.SE3:
+    return se3.compose(se3.compose(T_world_keyframe, T_keyframe_cam), se3.exp(correction))
+
+
+def _corrected(view: View, done: MapStep, length: float) -> Float[np.ndarray, "6"]:
+    """A view's correction after a step of this length along each direction, against the gradient.
+
+    A view is seen a few times only, too few for the size of the gradient to tell how far to go. As the
+    lengths decay, the steps come to rest. Corrections are small, so their tangents add up.
+
+    Source: Riedmiller and Braun, A direct adaptive method for faster backpropagation learning (1993), for
+    steps by the sign of the gradient.
+    """
+    downhill = -np.sign(np.nan_to_num(np.asarray(done.pose_gradient)))
+    return np.asarray(view.correction + length * downhill, np.float32)
 
 
 def _mean_gain(mapping: MapState, config: MappingConfig) -> Float[Array, "3"] | None:

@@ -1,6 +1,7 @@
 """Refinement: map steps over all views once the recording has ended.
 
-Views come in shuffled epochs. The learning rates decay, so that the map comes to rest.
+Views come in shuffled epochs. Their poses take part: keypoints and depth know them to millimetres, and an
+image of the map tells less than that. The learning rates decay, so that map and poses come to rest.
 """
 
 import numpy as np
@@ -35,5 +36,6 @@ def refine_once(
         camera,
         config,
         rate=config.final_rate**done,
+        move_view=True,
     )
     return mapping, float(stepped.loss)

@@ -121,7 +121,8 @@ def view_of(
         twist: motion of the camera per second in its own frame; zeros where it is not known.
     """
     rgb, depth, valid = _reduce(frame.rgb, frame.depth, frame.mask, factor)
-    return View(rgb, depth, valid, twist, keyframe, T_keyframe_cam, number, np.ones(3, np.float32))
+    gain, correction = np.ones(3, np.float32), np.zeros(6, np.float32)
+    return View(rgb, depth, valid, twist, keyframe, T_keyframe_cam, number, gain, correction)
 
 
 @partial(jax.jit, static_argnums=3)

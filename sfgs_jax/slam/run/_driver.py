@@ -26,7 +26,7 @@ from sfgs_jax.slam.mapping import (
 from sfgs_jax.slam.run._stopwatch import Stopwatch
 from sfgs_jax.slam.run._storage import load, remove_other_images, save, saved_facts, spill, spill_views
 from sfgs_jax.slam.run._warm_up import warm_up
-from sfgs_jax.slam.state import MapState, SlamState, StepInfo
+from sfgs_jax.slam.state import MapState, SlamState, StepInfo, trajectory_of
 from sfgs_jax.slam.step import follow
 from sfgs_jax.splatting import Gaussians
 
@@ -340,7 +340,7 @@ def _finish(run: Run, worker: MapWorker) -> None:
         state = finish(run.state)
     mapping = _moved(worker.stop(), state)
     if mapping.views:
-        mapping = follow_trajectory(mapping, state.log, state.trajectory)
+        mapping = follow_trajectory(mapping, state.log, trajectory_of(state.log, state.graph))
     run.advance(state=replace(state, mapping=mapping), is_finished=True)
 
 

@@ -10,7 +10,6 @@ from sfgs_jax.slam.state._frame_log import FrameLog as FrameLog
 from sfgs_jax.slam.state._frame_log import covariances_of as covariances_of
 from sfgs_jax.slam.state._frame_log import empty_log as empty_log
 from sfgs_jax.slam.state._frame_log import trajectory_of as trajectory_of
-from sfgs_jax.slam.state._gains import gains_of as gains_of
 from sfgs_jax.slam.state._gaussian_map import GaussianMap as GaussianMap
 from sfgs_jax.slam.state._gaussian_map import empty_map as empty_map
 from sfgs_jax.slam.state._gaussian_map import grow as grow
@@ -41,3 +40,5 @@ from sfgs_jax.slam.state._tracker import TrackerParams as TrackerParams
 from sfgs_jax.slam.state._tracker import empty_tracker as empty_tracker
 from sfgs_jax.slam.state._tracker import reference_at as reference_at
 from sfgs_jax.slam.state._tracker import with_graph_poses as with_graph_poses
+from sfgs_jax.slam.state._view_estimates import corrections_of as corrections_of
+from sfgs_jax.slam.state._view_estimates import gains_of as gains_of

@@ -28,6 +28,7 @@ class View:
         T_keyframe_cam: its pose there.
         frame: its number in its source.
         gain: (3,) of each channel against the map's colours, as last fitted; see `sensors.fitted_gain`.
+        correction: (6,) tangent by which its image has moved its pose, on the right; see `corrections_of`.
     """
 
     rgb: UInt8[Array | np.ndarray, "h w 3"]
@@ -38,6 +39,7 @@ class View:
     T_keyframe_cam: jaxlie.SE3
     frame: int
     gain: Float[Array | np.ndarray, "3"]
+    correction: Float[Array | np.ndarray, "6"]
 
     def __repr__(self) -> str:
         return printed_fields("View", frame=self.frame, keyframe=self.keyframe, rgb=self.rgb)

@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
-from sfgs_jax.geometry import Camera, Trajectory
+from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.slam.config import MappingConfig, SlamConfig
 from sfgs_jax.slam.state._frame_log import FrameLog, covariances_of, trajectory_of
-from sfgs_jax.slam.state._gains import gains_of
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._map_state import MapState
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
+from sfgs_jax.slam.state._view_estimates import corrections_of, gains_of
 from sfgs_jax.splatting import Gaussians
 
 
@@ -84,8 +84,10 @@ class SlamState:
 
     @property
     def trajectory(self) -> Trajectory:
-        """Poses of the tracked frames, by where their keyframes are now."""
-        return trajectory_of(self.log, self.graph)
+        """Poses of the tracked frames, by where their keyframes are now, corrected by the views' images."""
+        tracked = trajectory_of(self.log, self.graph)
+        corrections = se3.exps_of(corrections_of(self.log, self.mapping.views))
+        return Trajectory(tracked.timestamps, tracked.poses @ corrections)
 
     @property
     def covariances(self) -> Float[np.ndarray, "n 6 6"]:

@@ -1,0 +1,56 @@
+"""What the map's views tell about all frames: gains of their colours, corrections of their poses."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.slam.state._frame_log import FrameLog
+from sfgs_jax.slam.state._map_state import View
+
+
+def gains_of(log: FrameLog, views: tuple[View, ...]) -> Float[np.ndarray, "n 3"]:
+    """Gain of each channel of the frames of a log, linear in time between the views.
+
+    Args:
+        log: the frames.
+        views: of the map, with their gains.
+
+    Returns:
+        Gains relative to the mean of the views, which is how the map is optimised; 1 if there are no views.
+    """
+    views = _logged(log, views)
+    if not views:
+        return np.ones((len(log.timestamps), 3))
+    fitted = np.asarray([view.gain for view in views])
+    return _in_time(log, views, fitted / fitted.mean(axis=0))
+
+
+def corrections_of(log: FrameLog, views: tuple[View, ...]) -> Float[np.ndarray, "n 6"]:
+    """Tangents by which the views' images move the poses of the frames of a log, on the right.
+
+    They are linear in time between the views. Neighbouring frames err alike: they were registered to the same
+    keyframe.
+
+    Args:
+        log: the frames.
+        views: of the map, with their corrections.
+    """
+    views = _logged(log, views)
+    if not views:
+        return np.zeros((len(log.timestamps), 6))
+    return _in_time(log, views, np.asarray([view.correction for view in views]))
+
+
+def _logged(log: FrameLog, views: Sequence[View]) -> tuple[View, ...]:
+    """The views whose frames are in the log, in the order of their frames."""
+    here = set(log.numbers.tolist())
+    return tuple(sorted((view for view in views if view.frame in here), key=lambda view: view.frame))
+
+
+def _in_time(
+    log: FrameLog, views: Sequence[View], values: Float[np.ndarray, "v k"]
+) -> Float[np.ndarray, "n k"]:
+    """Values of the views at the times of the log's frames."""
+    times = log.timestamps[log.positions([view.frame for view in views])]
+    return np.stack([np.interp(log.timestamps, times, column) for column in values.T], axis=-1)
