@@ -88,7 +88,7 @@ def places_of(
     places = []
     for number in np.argsort(-alike, kind="stable")[: config.relocalisation_candidates]:
         at, target = keyframes[number]
-        found = register(params, features, target, se3.identity())
+        found = register(params, features, target, se3.identity(), guess_known=False)
         if not supports_relocalisation(found, config):
             continue
         pose = at @ se3.matrices_of(np.asarray(found.T_target_source.wxyz_xyz)[None])[0]

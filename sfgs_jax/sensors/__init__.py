@@ -1,5 +1,7 @@
 """Models of what a camera does to its images: lens, exposure, distortion of depth, times of the rows."""
 
+from sfgs_jax.sensors._brightness import block_means as block_means
+from sfgs_jax.sensors._brightness import brightness_change as brightness_change
 from sfgs_jax.sensors._depth_correction import DEPTH_GRID as DEPTH_GRID
 from sfgs_jax.sensors._depth_correction import DepthCorrection as DepthCorrection
 from sfgs_jax.sensors._depth_correction import corrected_depth as corrected_depth

@@ -2,8 +2,10 @@
 
 import math
 
+import numpy as np
+
 from sfgs_jax.geometry import Camera, require_camera
-from sfgs_jax.sensors import SensorModel
+from sfgs_jax.sensors import SensorModel, block_means
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import init_tracker, offsets_in_use, tracker_params
 from sfgs_jax.slam.keyframes import prior_noise
@@ -38,5 +40,6 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
         next_frame=0,
         last_timestamp=float("nan"),
         last_view=0,
+        last_look=block_means(np.zeros((*camera.shape, 3), np.float32)),
         num_lost=0,
     )

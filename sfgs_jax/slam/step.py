@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.geometry import Frame, se3, warn_unless_metres
+from sfgs_jax.slam._frame_brightness import look_of
 from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth
@@ -99,13 +100,15 @@ def follow(
         graph, closed = advance_graph(params, graph, config, grown=grown)
         state = with_graph(state, graph)
     keyframe, T_keyframe_cam, covariance = _place_in_graph(state, found, info)
-    log = state.log.with_frame(time, number, keyframe, T_keyframe_cam, covariance)
+    look, brighter = look_of(state, frame, keyframe, T_keyframe_cam)
+    log = state.log.with_frame(time, number, keyframe, T_keyframe_cam, covariance, brighter)
     view = None
     if becomes_view(state, log, frame, new_keyframe=info.new_keyframe):
         factor = mapping_factor(state.camera, state.config.mapping)
         corrected, twist = with_corrected_depth(params, frame), tracker.last_motion.twist
         view = view_of(corrected, factor, keyframe, T_keyframe_cam, number, twist)
-    state = replace(state, log=log, last_view=state.last_view if view is None else number)
+    last_view = state.last_view if view is None else number
+    state = replace(state, log=log, last_view=last_view, last_look=look)
     covariance = covariances_of(log, graph, slice(-1, None))[0]
     info = info._replace(T_world_cam=state.T_world_cam, covariance=covariance)
     info = info._replace(new_view=view is not None, loop_closed=closed)

@@ -298,8 +298,13 @@ def test_gains_and_corrections_of_frames_lie_between_those_of_the_views():
              se3.identity(), number, np.full(3, gain, np.float32), np.full(6, gain / 1000, np.float32))
         for number, gain in ((3, 1.5), (1, 0.5))
     )  # fmt: skip
-    np.testing.assert_allclose(gains_of(log, views)[:, 0], [0.5, 0.5, 0.875, 1.5, 1.5])
+    # Of times 0, 1, 4, 9 and 16: gains are interpolated as logarithms.
+    np.testing.assert_allclose(gains_of(log, views)[:, 0], [0.5, 0.5, 0.5 * 3 ** (3 / 8), 1.5, 1.5])
     np.testing.assert_array_equal(gains_of(log, ()), np.ones((5, 3)))
+    # Frame 2 is twice as bright as its neighbours, which no view shows.
+    log = replace(log, brightness=np.log([[1.0], [1.0], [2.0], [1.0], [1.0]]) * np.ones(3))
+    np.testing.assert_allclose(gains_of(log, views)[[1, 3, 4], 0], [0.5, 1.5, 1.5])
+    np.testing.assert_allclose(gains_of(log, views)[2, 0], 2 * 0.5 * 3 ** (3 / 8))
     expected = np.asarray([5e-4, 5e-4, 8.75e-4, 1.5e-3, 1.5e-3])
     np.testing.assert_allclose(corrections_of(log, views), np.tile(expected[:, None], 6), rtol=1e-6)
     np.testing.assert_array_equal(corrections_of(log, ()), np.zeros((5, 6)))

@@ -38,6 +38,8 @@ def motion_from_keypoints(
     camera: Camera,
     config: FeaturesConfig,
     sweep: gicp.Sweep | None = None,
+    *,
+    guess_known: Bool[Array, ""] | bool = True,
 ) -> FeatureRegistration:
     """Match two frames' keypoints and find the motion between the frames.
 
@@ -57,6 +59,7 @@ def motion_from_keypoints(
         camera: intrinsics of both.
         config: settings.
         sweep: motion of the source while it was read; None where it stood still.
+        guess_known: whether the guess says where keypoints should lie.
     """
     slots = source.depth.shape[0]
     if slots == 0:
@@ -67,7 +70,7 @@ def motion_from_keypoints(
         source.features,
         target.features,
         min_similarity=config.min_similarity,
-        expected=_expected(target, guess, camera, config),
+        expected=_expected(target, guess, camera, config, guess_known),
     )
     valid = matches.valid & target.measured[matches.index_b]
     weights = _weights(source, target, matches, valid, config)
@@ -113,7 +116,11 @@ def num_explained(
 
 
 def _expected(
-    target: Keypoints, guess: jaxlie.SE3, camera: Camera, config: FeaturesConfig
+    target: Keypoints,
+    guess: jaxlie.SE3,
+    camera: Camera,
+    config: FeaturesConfig,
+    guess_known: Bool[Array, ""] | bool,
 ) -> Expected | None:
     """Where the guess brings the target's keypoints in the source's image."""
     if config.guidance == 0:
@@ -122,7 +129,8 @@ def _expected(
     seen = target.measured & (points[:, 2] > 0)
     # What has no image there is expected nowhere.
     pixels = jnp.where(seen[:, None], camera.project(points), jnp.inf)
-    return Expected(pixels, config.guidance_reach * camera.width, config.guidance)
+    penalty = jnp.where(jnp.asarray(guess_known), jnp.asarray(config.guidance, pixels.dtype), 0)
+    return Expected(pixels, config.guidance_reach * camera.width, penalty)
 
 
 def _weights(

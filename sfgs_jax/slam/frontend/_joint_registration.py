@@ -40,6 +40,8 @@ def register(
     guess: jaxlie.SE3,
     allowed: Allowed | None = None,
     sweep: gicp.Sweep | None = None,
+    *,
+    guess_known: Bool[Array, ""] | bool = True,
 ) -> Registration:
     """Find T_target_source by keypoints and surface together.
 
@@ -56,12 +58,17 @@ def register(
         guess: T_target_source to start from.
         allowed: sources of a pose that the frames before allow; all of them if not given.
         sweep: motion of the source while it was read; None for a rectified source. The target is rectified.
+        guess_known: whether the guess says where keypoints should lie. Of a frame that is looked for in a
+            keyframe by its looks it does not.
     """
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
     if sweep is not None:
         keypoints = with_depth_in_time(source, params.camera, sweep.at(guess))
         source = FrameFeatures(source.cloud, keypoints)
-    matched = motion_from_keypoints(source.keypoints, target.keypoints, guess, params.camera, features, sweep)
+    keypoints = source.keypoints, target.keypoints
+    matched = motion_from_keypoints(
+        *keypoints, guess, params.camera, features, sweep, guess_known=guess_known
+    )
     share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
     helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
     many = matched.num_inliers >= features.min_inliers_alone

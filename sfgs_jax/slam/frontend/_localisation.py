@@ -135,7 +135,7 @@ def relocalise(
     T = se3.matrices_of(graph.poses)
     for number in map(int, order):
         target = features_in_use(params, graph.keyframes[number])
-        registration = register(params, features, target, se3.identity())
+        registration = register(params, features, target, se3.identity(), guess_known=False)
         if not supports_relocalisation(registration, config):
             continue
         found.append(Localised(number, target, graph.poses[number], registration, False, True))

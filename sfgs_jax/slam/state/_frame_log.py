@@ -22,6 +22,8 @@ class FrameLog:
         keyframes: (n,) number of each frame's keyframe.
         motions: (n, 7) `T_keyframe_cam` as wxyz_xyz.
         covariances: (n, 6, 6) of their tangents.
+        brightness: (n, 3) logarithm of each channel's brightness, up to a constant; it drifts, for it is
+            summed from frame to frame.
     """
 
     timestamps: Float[np.ndarray, " n"]
@@ -29,6 +31,7 @@ class FrameLog:
     keyframes: Int[np.ndarray, " n"]
     motions: Float[np.ndarray, "n 7"]
     covariances: Float[np.ndarray, "n 6 6"]
+    brightness: Float[np.ndarray, "n 3"]
 
     def __repr__(self) -> str:
         return printed_fields("FrameLog", frames=Text(printed_length(self.timestamps)))
@@ -40,6 +43,7 @@ class FrameLog:
         keyframe: int,
         motion: jaxlie.SE3,
         covariance: Float[np.ndarray, "6 6"],
+        brighter: Float[np.ndarray, "3"] | float = 0.0,
     ) -> "FrameLog":
         """The log with one more frame.
 
@@ -49,13 +53,16 @@ class FrameLog:
             keyframe: number of its keyframe.
             motion: `T_keyframe_cam`.
             covariance: of its tangent.
+            brighter: change of each channel's logarithm from the frame before.
         """
+        last = self.brightness[-1:] if len(self.brightness) else np.zeros((1, 3), np.float32)
         return FrameLog(
             np.append(self.timestamps, timestamp),
             np.append(self.numbers, number),
             np.append(self.keyframes, keyframe),
             np.concatenate([self.motions, np.asarray(motion.wxyz_xyz)[None]]),
             np.concatenate([self.covariances, np.asarray(covariance, np.float32)[None]]),
+            np.concatenate([self.brightness, last + np.float32(brighter)]),
         )
 
     @property
@@ -131,4 +138,5 @@ def empty_log() -> FrameLog:
         np.zeros(0, np.int64),
         np.zeros((0, 7), np.float32),
         np.zeros((0, 6, 6), np.float32),
+        np.zeros((0, 3), np.float32),
     )

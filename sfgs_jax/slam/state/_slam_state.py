@@ -32,6 +32,7 @@ class SlamState:
         next_frame: number that the next frame gets if its source gives none.
         last_timestamp: seconds, of the newest frame; NaN before the first.
         last_view: number of the newest frame that became a view of the map.
+        last_look: (h, w, 3) mean colours of the newest tracked frame, by blocks; see `sensors.block_means`.
         num_lost: frames that were not found.
     """
 
@@ -44,6 +45,7 @@ class SlamState:
     next_frame: int
     last_timestamp: float
     last_view: int
+    last_look: Float[np.ndarray, "h w 3"]
     num_lost: int
 
     def __repr__(self) -> str:
@@ -98,7 +100,8 @@ class SlamState:
     def gains(self) -> Float[np.ndarray, "n 3"] | None:
         """Gain of each channel of the tracked frames against the map's colours; see `sensors.fitted_gain`.
 
-        Those of the views are fitted, the others lie between them in time. None if they are not estimated.
+        Those of the views are fitted. The others follow from them by the change of brightness from frame to
+        frame. None if they are not estimated.
         """
         if not self.config.mapping.optimisation.estimate_exposure:
             return None

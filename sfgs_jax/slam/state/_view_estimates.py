@@ -10,10 +10,13 @@ from sfgs_jax.slam.state._map_state import View
 
 
 def gains_of(log: FrameLog, views: tuple[View, ...]) -> Float[np.ndarray, "n 3"]:
-    """Gain of each channel of the frames of a log, linear in time between the views.
+    """Gain of each channel of the frames of a log.
+
+    Between two views the gain changes as the frames' brightness does. What that leaves to the gain of the
+    next view is shared out in time.
 
     Args:
-        log: the frames.
+        log: the frames, with their brightness.
         views: of the map, with their gains.
 
     Returns:
@@ -23,7 +26,9 @@ def gains_of(log: FrameLog, views: tuple[View, ...]) -> Float[np.ndarray, "n 3"]
     if not views:
         return np.ones((len(log.timestamps), 3))
     fitted = np.asarray([view.gain for view in views])
-    return _in_time(log, views, fitted / fitted.mean(axis=0))
+    rows = log.positions([view.frame for view in views])
+    drift = np.log(fitted / fitted.mean(axis=0)) - log.brightness[rows]
+    return np.exp(log.brightness + _in_time(log, views, drift))
 
 
 def corrections_of(log: FrameLog, views: tuple[View, ...]) -> Float[np.ndarray, "n 6"]:
