@@ -163,7 +163,7 @@ def test_a_first_frame_that_shows_nothing_starts_no_map(long_room, config):
 
 
 def test_holes_in_depth_take_no_keyframes(long_room, config):
-    """Half of each frame's depth is missing, other blocks each time. The camera goes back and forth by 1 cm."""
+    """Half of each frame's depth is missing, other blocks each time. The camera moves by a centimetre."""
     rng = np.random.default_rng(0)
     state = slam.init(long_room.camera, config)
     for number in (0, 1, 0, 1, 0, 1):
