@@ -35,8 +35,8 @@ def main(
         means=se3.transform(se3.from_matrix(poses[0]), means),
         quaternions=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (len(means), 1)),
         log_scales=jnp.tile(scales, (1, 3)),
-        opacity_logits=jnp.full(len(means), 2.0),
-        sh=splatting.rgb_to_sh(jnp.full((len(means), 1, 3), 0.5)),
+        opacity_logits=jnp.full(len(means), 2.0, jnp.float32),
+        sh=splatting.rgb_to_sh(jnp.full((len(means), 1, 3), 0.5, jnp.float32)),
         valid=found.valid.reshape(-1),
     )
     views = [(jnp.asarray(frame.rgb), se3.from_matrix(poses[i])) for i, frame in ((0, fitted), (2, held_out))]

@@ -21,6 +21,11 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 gc.set_threshold(100_000, 20, 100)
 
 
+def pytest_unconfigure() -> None:
+    """Look for no cycles as the process ends: among millions of objects that takes seconds."""
+    gc.freeze()
+
+
 _MANY_MAPS = 15_000
 """Memory maps of a process beyond which its compiled programs go: about 2 GB of programs. Linux allows
 65,530, and the programs of one file take up to 5,000."""

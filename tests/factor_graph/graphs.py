@@ -6,7 +6,7 @@ import jaxlie
 import numpy as np
 
 from sfgs_jax.factor_graph import FactorGraph, PosePrior, RelativePose, Reprojection, Values
-from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.geometry import Camera, quaternions_from_rotations, se3
 
 CAMERA = Camera(500.0, 510.0, 320.0, 240.0, width=640, height=480)
 
@@ -32,6 +32,12 @@ def perturb(poses: jaxlie.SE3, rng, scale: float) -> jaxlie.SE3:
 def between(poses: jaxlie.SE3, ends) -> jaxlie.SE3:
     a, b = (jaxlie.SE3(poses.wxyz_xyz[np.asarray(ends)[:, i]]) for i in range(2))
     return compose(inverse(a), b)
+
+
+def poses_of(matrices: np.ndarray) -> jaxlie.SE3:
+    """Poses of matrices (N, 4, 4), made on the host: there no number of poses needs a program of its own."""
+    wxyz = quaternions_from_rotations(matrices[:, :3, :3])
+    return jaxlie.SE3(jnp.asarray(np.concatenate([wxyz, matrices[:, :3, 3]], axis=1), dtype()))
 
 
 def eye(*diagonal: float):
@@ -90,17 +96,17 @@ def ring(rng, n: int = 20, noise: float = 0.01, loops: int = 6, **options):
     matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(angle)
     matrices[:, 1, 0], matrices[:, 0, 1] = np.sin(angle), -np.sin(angle)
     matrices[:, :2, 3] = 2 * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    truth = jaxlie.SE3(jnp.stack([se3.from_matrix(m, dtype()).wxyz_xyz for m in matrices]))
+    truth = poses_of(matrices)
     chain = np.stack([np.arange(n - 1), np.arange(1, n)], axis=1)
     far = np.stack([np.arange(loops), n - 1 - np.arange(loops)], axis=1)
     ends = np.concatenate([chain, far])
     measured = perturb(between(truth, ends), rng, noise)
     information = eye(noise**-2, noise**-2)
-    start = [truth.wxyz_xyz[0]]
-    for i in range(n - 1):
-        start.append(compose(jaxlie.SE3(start[-1]), jaxlie.SE3(measured.wxyz_xyz[i])).wxyz_xyz)
+    start = [matrices[0]]
+    for step in se3.matrices_of(np.asarray(measured.wxyz_xyz)[: n - 1]):
+        start.append(start[-1] @ step)
     factors = [
         PosePrior([0], jaxlie.SE3(truth.wxyz_xyz[:1]), eye(1e6, 1e6)),
         RelativePose(ends, measured, information),
     ]
-    return FactorGraph(factors, num_poses=n, **options), Values(jaxlie.SE3(jnp.stack(start))), Values(truth)
+    return FactorGraph(factors, num_poses=n, **options), Values(poses_of(np.stack(start))), Values(truth)

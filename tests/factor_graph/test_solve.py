@@ -1,5 +1,7 @@
 """Solvers against a dense float64 solve, known answers, growth without compiling, and hopeless input."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -31,6 +33,8 @@ cost_of = jax.jit(cost)
 
 SOLVERS = ("dense", "sparse", "pcg")
 EXACT = SolverConfig(pcg_tolerance=1e-7, pcg_max_iterations=500)
+# Settings are static: tests that ask for an optimum to all digits of float64 ask for it in one way.
+TO_THE_LAST_DIGIT = SolverConfig(cost_tolerance=1e-12)
 
 
 @jax.jit
@@ -108,7 +112,7 @@ def test_every_solver_reaches_the_float64_optimum(rng, solver, method):
     with jax.enable_x64(True):
         rng = np.random.default_rng(0)
         graph, start, _ = bundle(rng)
-        best = solve(graph, start, SolverConfig(cost_tolerance=1e-12))
+        best = solve(graph, start, TO_THE_LAST_DIGIT)
     np.testing.assert_allclose(solution.cost, best.cost, rtol=1e-4)
     np.testing.assert_allclose(solution.values.landmarks, best.values.landmarks, atol=2e-3)
 
@@ -131,7 +135,7 @@ def test_a_long_graph_is_dissected_and_solved_and_grows_without_compiling(rng, c
     assert solution.status == Status.CONVERGED
     with jax.enable_x64(True):
         graph, start, _ = ring(np.random.default_rng(0), n=140, noise=0.003, loops=20, linear_solver="dense")
-        best = solve(graph, start, SolverConfig(cost_tolerance=1e-12))
+        best = solve(graph, start, TO_THE_LAST_DIGIT)
     np.testing.assert_allclose(solution.cost, best.cost, rtol=1e-3)
     error = np.asarray(solution.values.poses.wxyz_xyz - truth.poses.wxyz_xyz)[:, 4:]
     assert np.sqrt(np.mean(error**2)) < 0.1
@@ -141,7 +145,7 @@ def test_a_triangle_is_put_together_from_strips(rng):
     rows = rng.normal(size=(3, 30, 12)).astype(np.float32)
     whole = np.einsum("nis,njs->nij", rows, rows).reshape(3, 5, 6, 5, 6).transpose(0, 1, 3, 2, 4)
     expected = whole[:, *np.tril_indices(5)]
-    found = symmetric_rank_k_blocks(jnp.asarray(rows), 5, strip=2)
+    found = jax.jit(partial(symmetric_rank_k_blocks, blocks=5, strip=2))(rows)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
 
 
@@ -164,12 +168,11 @@ def test_fixed_variables_stay(rng):
     graph, start, _ = bundle(rng, free_poses=free_poses, free_landmarks=free_landmarks)
     solution = solve(graph, start)
     assert solution.status == Status.CONVERGED
-    found = solution.values
-    np.testing.assert_allclose(
-        found.poses.wxyz_xyz[~free_poses], start.poses.wxyz_xyz[~free_poses], atol=1e-6
-    )
-    np.testing.assert_array_equal(found.landmarks[5], start.landmarks[5])
-    assert np.all(np.any(found.landmarks != start.landmarks, axis=1)[free_landmarks])
+    found, begun = (np.asarray(values.poses.wxyz_xyz)[~free_poses] for values in (solution.values, start))
+    np.testing.assert_allclose(found, begun, atol=1e-6)
+    found, begun = (np.asarray(values.landmarks) for values in (solution.values, start))
+    np.testing.assert_array_equal(found[5], begun[5])
+    assert np.all(np.any(found != begun, axis=1)[free_landmarks])
 
 
 def growing(rng, poses: int, observations: int, capacities=None):
@@ -211,8 +214,7 @@ def test_a_graph_that_grows_does_not_compile_again(compilations):
 
 def test_many_small_graphs_at_once():
     made = [ring(np.random.default_rng(seed), n=6, loops=1) for seed in range(4)]
-    graphs = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y) for y in x]), *(g for g, _, _ in made))
-    starts = jax.tree.map(lambda *x: jnp.stack(x), *(s for _, s, _ in made))
+    graphs, starts, _ = (jax.tree.map(lambda *x: np.stack(x), *each) for each in zip(*made, strict=True))
     together = jax.vmap(solve)(graphs, starts)
     for i, (graph, start, _) in enumerate(made):
         alone = solve(graph, start)
@@ -223,13 +225,14 @@ def test_many_small_graphs_at_once():
 @pytest.mark.parametrize("method", ["levenberg_marquardt", "gauss_newton"])
 def test_what_nothing_determines_is_called_singular(rng, method):
     config = SolverConfig(method=method)
-    graph, start, _ = ring(rng, n=5, loops=1)
+    # One of the rings that are solved together: its program is there already.
+    graph, start, _ = ring(rng, n=6, loops=1)
     poses = jaxlie.SE3(jnp.concatenate([start.poses.wxyz_xyz, start.poses.wxyz_xyz[-1:]]))
-    alone = FactorGraph(graph.factors, num_poses=6)
+    alone = FactorGraph(graph.factors, num_poses=7)
     solution = solve(alone, Values(poses), config)
     assert solution.status == Status.SINGULAR
     assert finite(solution.values)
-    np.testing.assert_allclose(solution.values.poses.wxyz_xyz[5], poses.wxyz_xyz[5], atol=1e-6)
+    np.testing.assert_allclose(solution.values.poses.wxyz_xyz[6], poses.wxyz_xyz[6], atol=1e-6)
     np.testing.assert_allclose(solution.cost, solve(graph, start, config).cost, rtol=1e-2, atol=1e-3)
 
     empty = solve(FactorGraph([], num_poses=2), Values(jaxlie.SE3(poses.wxyz_xyz[:2])), config)
@@ -317,7 +320,7 @@ def test_poses_may_be_matrices(rng):
 
 def test_marginals_are_blocks_of_the_inverse(float64, rng):
     graph, start, _ = bundle(rng)
-    values = solve(graph, start).values
+    values = solve(graph, start, TO_THE_LAST_DIGIT).values
     covariance = np.linalg.inv(dense_hessian(graph, values)[0])
     found = marginal_covariances(graph, values, poses=np.array([0, 4]), landmarks=np.array([7]))
     for block, pose in zip(found.poses, (0, 4), strict=True):

@@ -6,7 +6,11 @@ import jaxlie
 import numpy as np
 import pytest
 
-from sfgs_jax.geometry import NEAREST_DEPTH, Camera, reprojection_residuals, se3
+from sfgs_jax import geometry
+from sfgs_jax.geometry import NEAREST_DEPTH, Camera, se3
+
+# One program instead of one for each operation.
+reprojection_residuals = jax.jit(geometry.reprojection_residuals)
 
 
 def camera(dtype=jnp.float64) -> Camera:

@@ -122,10 +122,15 @@ def test_the_information_matrix_is_that_of_a_dense_computation(corner):
     result = align(source, target, se3.identity(), config=CONFIG)
 
     T = np.asarray(se3.matrix(result.T_target_source), np.float64)
+
     # The assessment takes every second of the rows and columns that are aligned.
-    problem = level_problem(source.levels, target.levels, None, 0, CONFIG, decimation=2)
-    stride, points = 2 * CONFIG.strides[0], problem.source
-    pairs = problem.correspondences(result.T_target_source)
+    @jax.jit
+    def found(source, target, T_target_source):
+        problem = level_problem(source.levels, target.levels, None, 0, CONFIG, decimation=2)
+        return problem.source, problem.correspondences(T_target_source)
+
+    stride = 2 * CONFIG.strides[0]
+    points, pairs = found(source, target, result.T_target_source)
     information, excess, weight = np.zeros((6, 6)), 0.0, 0.0
     for n in np.flatnonzero(pairs.valid):
         p, q, t = (np.asarray(x, np.float64)[:, n] for x in (points.points, pairs.points, pairs.normals))

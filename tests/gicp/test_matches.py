@@ -100,7 +100,7 @@ def test_few_matches_make_no_nan_and_say_what_they_fix(rng, key, method, count):
         result = rigid_from_matches(p, q, method=method, key=key)
         return jnp.sum(result.T_target_source.wxyz_xyz), result
 
-    gradients, result = jax.grad(total, argnums=(0, 1), has_aux=True)(jnp.asarray(p), jnp.asarray(q))
+    gradients, result = jax.grad(total, argnums=(0, 1), has_aux=True)(jax.device_put(p), jax.device_put(q))
     assert all(np.all(np.isfinite(x)) for x in (*gradients, *jax.tree.leaves(result)))
     assert bool(result.converged) == bool(result.unique) == (count == 3)
     if count == 3:
@@ -145,7 +145,7 @@ def test_matches_far_from_the_origin(rng):
 
 def test_it_batches(rng, key):
     lists = [matched(rng, 40, wrong=0.3) for _ in range(3)]
-    p, q = (jnp.stack([jnp.asarray(x[i]) for x in lists]) for i in (0, 1))
+    p, q = (np.stack([x[i] for x in lists]) for i in (0, 1))
     results = jax.vmap(lambda p, q: rigid_from_matches(p, q))(p, q)
     for i, (_, _, T, _) in enumerate(lists):
         assert error(jax.tree.map(lambda x, i=i: x[i], results), T)[0] < 0.01

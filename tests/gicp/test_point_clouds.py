@@ -155,14 +155,15 @@ def test_depth_images_and_points_can_be_mixed(clouds):
     camera = Camera(150.0, 150.0, 79.5, 59.5, width=160, height=120)
     depth = cast(camera)
     motion = np.asarray(se3.matrix(se3.exp(jnp.asarray([0.02, -0.02, 0.03, 0.01, -0.02, 0.01]))), np.float64)
-    organised = prepare(cast(camera, motion), camera)
+    config = GicpConfig(levels=2)
+    organised = prepare(cast(camera, motion), camera, config=config)
     v, u = np.nonzero(depth)
     z = depth[v, u]
     points = np.column_stack([(u - 79.5) / 150 * z, (v - 59.5) / 150 * z, z])
     points = points[np.linspace(0, len(points) - 1, COUNT).astype(int)]
     unorganised = prepare_points(points, config=POINTS)
-    assert error(align(organised, unorganised, se3.identity()), motion)[0] < 6e-3
-    backwards = align(unorganised, organised, se3.identity())
+    assert error(align(organised, unorganised, se3.identity(), config=config), motion)[0] < 6e-3
+    backwards = align(unorganised, organised, se3.identity(), config=config)
     assert error(backwards, np.linalg.inv(motion))[0] < 6e-3
 
 

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from sfgs_jax import sensors
 from sfgs_jax.geometry import Camera
-from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, corrected_depth, grid_shares
+from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, corrected_depth
+
+# One program instead of one for each operation.
+corrected = jax.jit(DepthCorrection.corrected)
+image_of = jax.jit(DepthCorrection.image)
+offsets_at = jax.jit(DepthCorrection.at)
+grid_shares = jax.jit(sensors.grid_shares)
 
 CAMERA = Camera(130.0, 130.0, 79.5, 59.5, width=160, height=120)
 
@@ -23,15 +30,15 @@ def depth(rng):
 
 
 def test_zero_offsets_change_nothing(depth):
-    same = DepthCorrection(jnp.zeros(DEPTH_GRID)).corrected(depth, CAMERA)
+    same = corrected(DepthCorrection(jnp.zeros(DEPTH_GRID)), depth, CAMERA)
     np.testing.assert_array_equal(same, depth)
 
 
 def test_a_distortion_of_the_same_offsets_is_undone(correction, depth):
-    offsets = np.asarray(correction.image(CAMERA))
+    offsets = np.asarray(image_of(correction, CAMERA))
     measured = 1 / (1 / np.asarray(depth) + offsets)
     assert np.abs(measured - depth).max() > 0.1
-    np.testing.assert_allclose(correction.corrected(jnp.asarray(measured), CAMERA), depth, rtol=2e-6)
+    np.testing.assert_allclose(corrected(correction, jnp.asarray(measured), CAMERA), depth, rtol=2e-6)
 
 
 def test_missing_depth_stays_missing_and_nothing_lies_behind_infinity():
@@ -39,23 +46,24 @@ def test_missing_depth_stays_missing_and_nothing_lies_behind_infinity():
     depth = jnp.asarray([[0.0, jnp.nan, 1.0, 2.5]])
     correction = DepthCorrection(jnp.full((2, 2), 0.5))
     camera = Camera(4.0, 4.0, 1.5, 0.0, width=4, height=1)
-    np.testing.assert_allclose(correction.corrected(depth, camera), [[0, 0, 2, 0]])
-    gradient = jax.grad(lambda c: jnp.sum(corrected_depth(jnp.nan_to_num(depth), c)))(offset)
+    np.testing.assert_allclose(corrected(correction, depth, camera), [[0, 0, 2, 0]])
+    slope = jax.jit(jax.grad(lambda c: jnp.sum(corrected_depth(jnp.nan_to_num(depth), c))))
+    gradient = slope(offset)
     assert np.isfinite(gradient).all()
 
 
 def test_offsets_at_pixels_are_those_of_the_image(correction):
     pixels = CAMERA.pixels().reshape(-1, 2)
-    image = np.asarray(correction.image(CAMERA)).ravel()
-    np.testing.assert_allclose(correction.at(pixels, CAMERA), image, atol=1e-8)
+    image = np.asarray(image_of(correction, CAMERA)).ravel()
+    np.testing.assert_allclose(offsets_at(correction, pixels, CAMERA), image, atol=1e-8)
     shares = grid_shares(pixels, CAMERA)
     np.testing.assert_allclose(np.asarray(shares).sum(0), 1, atol=1e-6)
     np.testing.assert_allclose(np.asarray(correction.offsets).ravel() @ np.asarray(shares), image, atol=1e-8)
 
 
 def test_the_offsets_are_the_same_at_every_resolution(correction):
-    whole = np.asarray(correction.image(CAMERA)).reshape(60, 2, 80, 2).mean((1, 3))
-    half = np.asarray(correction.image(CAMERA.downscaled(2)))
+    whole = np.asarray(image_of(correction, CAMERA)).reshape(60, 2, 80, 2).mean((1, 3))
+    half = np.asarray(image_of(correction, CAMERA.downscaled(2)))
     # Only pixels over a node differ.
     np.testing.assert_allclose(half, whole, atol=4e-4)
     assert np.median(np.abs(half - whole)) < 1e-7
@@ -64,6 +72,7 @@ def test_the_offsets_are_the_same_at_every_resolution(correction):
 def test_gradients_reach_the_offsets(correction, depth):
     weights = jnp.cos(jnp.arange(depth.size, dtype=depth.dtype)).reshape(depth.shape)
 
+    @jax.jit
     def total(offsets):
         return jnp.sum(weights * DepthCorrection(jnp.asarray(offsets)).corrected(depth, CAMERA))
 

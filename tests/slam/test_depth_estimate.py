@@ -11,7 +11,7 @@ from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, grid_shares
-from sfgs_jax.slam.frontend import frame_features, recorrected
+from sfgs_jax.slam.frontend import recorrected
 from sfgs_jax.slam.keyframes import depth_equations
 from sfgs_jax.slam.state import depth_prior, no_depth_information
 
@@ -98,22 +98,24 @@ def test_references_and_edges_follow_the_estimate(runs):
 
 
 def test_recorrected_features_are_those_of_corrected_depth(recording, pair, settings):
-    params = slam.tracker_params(recording.camera, settings.tracking)
-    across = jnp.linspace(-1, 1, DEPTH_GRID[1])
-    change = DepthCorrection(0.01 * jnp.broadcast_to(jnp.sin(3 * across)[None], DEPTH_GRID))
-    frame = pair[0]
-    grey = jnp.asarray(frame.rgb).mean(-1)
-    before = frame_features(params, grey, jnp.asarray(frame.depth))
-    wanted = frame_features(replace(params, depth_correction=change), grey, jnp.asarray(frame.depth))
+    params = slam.tracker_params(recording.camera, replace(settings.tracking, estimate_depth=True))
+    across = np.linspace(-1, 1, DEPTH_GRID[1])
+    offsets = 0.01 * np.broadcast_to(np.sin(3 * across), DEPTH_GRID)
+    change = DepthCorrection(jnp.asarray(offsets, jnp.float32))
+    before = slam.observe(params, pair[0])
+    wanted = slam.observe(replace(params, depth_correction=change), pair[0])
     found = recorrected(before, recording.camera, change)
     for a, b, raw in zip(found.cloud.levels, wanted.cloud.levels, before.cloud.levels, strict=True):
-        both = np.asarray(a.valid & b.valid)
+        both = np.asarray(a.valid) & np.asarray(b.valid)
         assert both.mean() > 0.9 * np.asarray(b.valid).mean()
-        off = np.linalg.norm(np.asarray(a.points - b.points)[both], axis=-1)
-        moved = np.linalg.norm(np.asarray(raw.points - b.points)[both], axis=-1)
+        off, moved = (
+            np.linalg.norm((np.asarray(x.points) - np.asarray(b.points))[both], axis=-1) for x in (a, raw)
+        )
         assert np.median(moved) > 0.01
         assert np.percentile(off, 95) < 0.004
-        turned, kept = (np.sum(np.asarray(x.normals * b.normals)[both], axis=-1) for x in (a, raw))
+        turned, kept = (
+            np.sum((np.asarray(x.normals) * np.asarray(b.normals))[both], axis=-1) for x in (a, raw)
+        )
         assert np.mean(1 - turned) < np.mean(1 - kept) / 5
     np.testing.assert_allclose(found.keypoints.points, wanted.keypoints.points, atol=2e-3)
 

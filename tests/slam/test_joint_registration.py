@@ -150,8 +150,9 @@ def test_inliers_that_another_motion_explains_are_counted(rng, look, tracking):
         source.keypoints, target.keypoints, se3.identity(), CAMERA, tracking.features
     )
 
+    @jax.jit
     def explained(T):
-        return int(num_explained(T, matched, source.keypoints, target.keypoints, CAMERA, tracking.features))
+        return num_explained(T, matched, source.keypoints, target.keypoints, CAMERA, tracking.features)
 
     assert explained(matched.T_target_source) == int(matched.num_inliers) > 50
     assert explained(se3.identity()) == 0  # five pixels away

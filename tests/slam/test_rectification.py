@@ -24,6 +24,7 @@ STEP = 1e-3
 
 # One program instead of one for each operation.
 rectified = jax.jit(frontend.rectified)
+in_time = jax.jit(depth_in_time)
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +64,8 @@ def seen(recordings):
 
 def off_surface(level, truth):
     """Median distance of a level's pixels from the true surface there."""
-    along = np.sum(np.asarray(level.points - truth.points) * truth.normals, axis=-1)
-    return float(np.median(abs(along)[np.asarray(level.valid & truth.valid)]))
+    along = np.sum((np.asarray(level.points) - truth.points) * np.asarray(truth.normals), axis=-1)
+    return float(np.median(abs(along)[np.asarray(level.valid) & np.asarray(truth.valid)]))
 
 
 def test_the_surface_is_where_a_global_shutter_sees_it(recordings, seen, motion):
@@ -94,13 +95,13 @@ def test_a_depth_image_is_brought_to_the_time_of_colour(recordings, motion):
     """Colour has no shutter here, so its time is the frame's."""
     faulty, ideal = recordings
     depth, truth = (np.asarray(r[NUMBER].depth) for r in (faulty, ideal))
-    found = np.asarray(jax.jit(depth_in_time)(jnp.asarray(depth), faulty.camera, motion.twist, TIMING))
+    found = np.asarray(in_time(jnp.asarray(depth), faulty.camera, motion.twist, TIMING))
     known = (found > 0) & (truth > 0) & (depth > 0)
     assert known.sum() > 0.9 * np.sum(depth > 0)
     before, after = (np.median(abs(image - truth)[known]) for image in (depth, found))
     assert before > 0.004
     assert after < 0.35 * before
-    still = depth_in_time(jnp.asarray(depth), faulty.camera, jnp.zeros(6), TIMING)
+    still = in_time(jnp.asarray(depth), faulty.camera, jnp.zeros(6), TIMING)
     np.testing.assert_array_equal(still, depth)
 
 
@@ -154,7 +155,7 @@ def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordi
     wanted = rectified(seen, recordings[0].camera, motion)
     pairs = zip(graph.keyframes[0].features.cloud.levels, wanted.cloud.levels, strict=True)
     for found, expected in pairs:
-        both = np.asarray(found.valid & expected.valid)
+        both = np.asarray(found.valid) & np.asarray(expected.valid)
         assert both.mean() > 0.9 * np.mean(expected.valid)
         assert off_surface(found, expected) < 5e-4
 

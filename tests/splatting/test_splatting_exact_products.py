@@ -67,12 +67,12 @@ def many_hidden_gaussians() -> Gaussians:
 
 
 def test_pairs_are_counted_exactly():
-    projected, _ = project(many_hidden_gaussians(), CAMERA, se3.identity())
+    projected, _ = jax.jit(project)(many_hidden_gaussians(), CAMERA, se3.identity())
 
     def lists(projected):
         return bin_into_tiles(projected, width=64, height=53, tile_size=8, pair_capacity=16_384)
 
-    exact = lists(projected)
+    exact = jax.jit(lists)(projected)
     assert int(exact.counts.sum()) > 4096
     assert int(exact.overflow) == 0
     rounded = at_tf32(lists)(projected)

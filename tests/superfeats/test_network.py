@@ -69,7 +69,7 @@ def test_outputs_have_a_cell_for_each_8x8_pixels(network):
 
 
 def test_a_folded_network_acts_as_the_trained_one_on_the_statistics_it_has_seen(network, rng):
-    images = normalise(jnp.asarray(rng.random((4, 64, 64)), jnp.float32))
+    images = normalise(jnp.asarray(rng.random((4, 32, 32)), jnp.float32))
     step = jax.jit(lambda net: _with_statistics(net, images))
     dense, network = step(network)
     for _ in range(999):  # the running statistics approach those of this batch

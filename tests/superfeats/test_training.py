@@ -76,10 +76,10 @@ def run(batch: Batch, steps: int, weights: LossWeights, sharding: jax.sharding.S
 
 def test_training_on_one_batch_learns_it(rng):
     batch = made_up_batch(rng)
-    state, history = run(batch, 60, LossWeights())
+    state, history = run(batch, 40, LossWeights())
     assert history[-1]["loss"] < 0.7 * history[0]["loss"]
     assert history[-1]["accuracy"] > 0.9
-    assert int(state.step) == 60
+    assert int(state.step) == 40
     assert evaluate(fold(state.network), batch, weights=LossWeights())["accuracy"] > 0.5
 
 

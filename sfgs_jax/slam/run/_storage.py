@@ -312,7 +312,9 @@ def _like(value: np.ndarray, kind: Any) -> Any:
     """A leaf of its former kind: Python numbers are static to compiled programs, arrays are not."""
     if isinstance(kind, bool | int | float):
         return type(kind)(value)
-    return np.array(value) if isinstance(kind, np.ndarray) else jnp.asarray(value)
+    copy = np.array(value)
+    # Put on the device as it is: `jnp.asarray` would compile a program for each shape.
+    return copy if isinstance(kind, np.ndarray) else jax.device_put(copy)
 
 
 def _same_camera(a: Camera, b: Camera) -> bool:

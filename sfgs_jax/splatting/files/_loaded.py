@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.special import logit
@@ -43,8 +43,9 @@ def loaded(
             raise InputError(f"{path}: {name} hold values beyond {_LARGEST[name]:g}; the file is damaged.")
     if not np.all(np.any(quaternions != 0, axis=1)):
         raise InputError(f"{path}: a quaternion is zero; the file is damaged.")
-    arrays = {name: jnp.asarray(value.astype(np.float32)) for name, value in values.items()}
-    return Gaussians(**arrays, valid=jnp.asarray(np.ones(len(means), bool)))
+    # Put on the device as they are: `jnp.asarray` would compile a program for each shape.
+    arrays = {name: jax.device_put(value.astype(np.float32)) for name, value in values.items()}
+    return Gaussians(**arrays, valid=jax.device_put(np.ones(len(means), bool)))
 
 
 def logits_of_bytes(opacities: UInt8[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
