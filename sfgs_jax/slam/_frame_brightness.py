@@ -1,4 +1,4 @@
-"""How much brighter a frame is than the one before it."""
+"""Brightness of a frame against the one before it."""
 
 import jaxlie
 import numpy as np

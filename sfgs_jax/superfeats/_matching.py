@@ -19,9 +19,9 @@ _ROWS = 256
 
 
 class Expected(eqx.Module):
-    """Where the keypoints of image b should lie in image a, as far as the motion between them is known.
+    """Places in image a where the keypoints of image b should lie, by a motion that is roughly known.
 
-    Where texture repeats itself, such as on tiles, many keypoints look alike, and only their places tell them
+    Keypoints on texture that repeats itself, such as tiles, look alike, and only their places tell them
     apart. A pair loses some of its similarity by lying elsewhere, by the square of the distance, and beyond
     `reach` no more than `penalty`. So places decide between keypoints that look alike. A motion that was not
     expected is still found where keypoints differ.
@@ -114,7 +114,7 @@ def _nearest(
 
 
 def _penalties(pixels: Float[Array, "k 2"], expected: Expected) -> Float[Array, "k m"]:
-    """What the cosine of each pair counts less: all of it far away, and where the place is unknown."""
+    """Penalty of each pair's cosine: all of it far away, and where the place is unknown."""
     square = sum((pixels[:, axis, None] - expected.pixels[None, :, axis]) ** 2 for axis in (0, 1))
     share = square / expected.reach**2
     return expected.penalty * jnp.where(share < 1, share, 1)

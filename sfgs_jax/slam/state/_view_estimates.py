@@ -1,4 +1,4 @@
-"""What the map's views tell about all frames: gains of their colours, corrections of their poses."""
+"""Gains of all frames' colours and corrections of their poses, from those of the map's views."""
 
 from collections.abc import Sequence
 
@@ -12,8 +12,8 @@ from sfgs_jax.slam.state._map_state import View
 def gains_of(log: FrameLog, views: tuple[View, ...]) -> Float[np.ndarray, "n 3"]:
     """Gain of each channel of the frames of a log.
 
-    Between two views the gain changes as the frames' brightness does. What that leaves to the gain of the
-    next view is shared out in time.
+    Between two views the gain changes as the frames' brightness does. The difference that is left at the next
+    view is shared out in time.
 
     Args:
         log: the frames, with their brightness.
