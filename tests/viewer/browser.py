@@ -73,6 +73,8 @@ class OpenPage:
         with self.page.expect_console_message(lambda message: message.text.startswith("Connected!")):
             self.page.goto(f"http://127.0.0.1:{port}")
         self.page.locator("canvas").first.wait_for()
+        # viser warns of WebGL in software, over whatever lies at the top left.
+        self.page.add_style_tag(content="#webgl-software-rendering { display: none }")
 
     def close(self) -> None:
         """Close the page."""

@@ -32,7 +32,6 @@ class Allowed(NamedTuple):
     motion_model: Bool[Array, ""] | bool = True
 
 
-@partial(jax.jit, inline=True)
 def register(
     params: TrackerParams,
     source: FrameFeatures,
@@ -61,6 +60,20 @@ def register(
         guess_known: whether the guess says where keypoints should lie. Of a frame that is looked for in a
             keyframe by its looks it does not.
     """
+    # A default that is left out would make another program.
+    return _register(params, source, target, guess, allowed, sweep, guess_known)
+
+
+@partial(jax.jit, inline=True)
+def _register(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    guess: jaxlie.SE3,
+    allowed: Allowed | None,
+    sweep: gicp.Sweep | None,
+    guess_known: Bool[Array, ""] | bool,
+) -> Registration:
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
     if sweep is not None:
         keypoints = with_depth_in_time(source, params.camera, sweep.at(guess))
