@@ -340,6 +340,20 @@ def _run(
             kept = kept_to_resume(result, written)
         _say_interrupted(result, written, can_resume=kept, moved=written != folder)
         return _INTERRUPTED
+    status = _closed(options, out, result, written)
+    return 1 if failure is not None else status
+
+
+def _closed(options: RunOptions, out: ResultFolder, result: Run, written: Path) -> int:
+    """Evaluate the results of a run that came to its end, and say what it came to; returns the exit status.
+
+    Args:
+        options: of the command.
+        out: the folder that the results were meant for.
+        result: the run.
+        written: the folder that they are in.
+    """
+    folder, recording = out.path, out.recording
     if not len(result.trajectory):
         raise InputError(f"No frame of {recording.name} could be used; {folder / 'run.log'} says why.")
     if options.evaluate and not _evaluated(written, recording, quiet=options.quiet):
@@ -356,7 +370,7 @@ def _run(
         logger.warning("%s", warning)
     if problem := failure_of(metrics, out.config.source):
         logger.error("%s", problem)
-    return 1 if failure is not None or problem is not None or written != folder else 0
+    return 1 if problem is not None or written != folder else 0
 
 
 def _begin_log(recording: Recording, resumed: Run | None) -> None:
