@@ -132,7 +132,7 @@ def test_the_sensitivity_says_how_the_motion_changes(recording, pair, settings):
             recorrected(x, recording.camera, DepthCorrection(jnp.asarray(change, jnp.float32)))
             for x in (b, a)
         ]
-        again = slam.register(params, *moved, found.T_target_source)
+        again = slam.register(params, moved[0], moved[1], found.T_target_source)
         by = np.asarray(se3.log(se3.compose(se3.inverse(found.T_target_source), again.T_target_source)))
         expected = predicted @ change.ravel()
         assert np.linalg.norm(by) > 1e-3
