@@ -78,10 +78,8 @@ def _register(
     if sweep is not None:
         keypoints = with_depth_in_time(source, params.camera, sweep.at(guess))
         source = FrameFeatures(source.cloud, keypoints)
-    keypoints = source.keypoints, target.keypoints
-    matched = motion_from_keypoints(
-        *keypoints, guess, params.camera, features, sweep, guess_known=guess_known
-    )
+    pair = source.keypoints, target.keypoints
+    matched = motion_from_keypoints(*pair, guess, params.camera, features, sweep, guess_known=guess_known)
     share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
     helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
     many = matched.num_inliers >= features.min_inliers_alone

@@ -1,7 +1,7 @@
 """Refinement: map steps over all views once the recording has ended.
 
-Views come in shuffled epochs. Their poses take part: keypoints and depth know them to millimetres, and an
-image of the map tells less than that. The learning rates decay, so that map and poses come to rest.
+Views come in shuffled epochs. Their poses take part: keypoints and depth leave errors of a millimetre,
+which an image shows against the map. The learning rates decay, so that map and poses come to rest.
 """
 
 import numpy as np
