@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -23,7 +24,10 @@ class ViewArguments:
     open: bool = False
     """Open the page in the browser of this machine."""
     max_gaussians: int = 300_000
-    """Most Gaussians that the page draws. A larger map is drawn as a sample, and the page says so."""
+    """Most Gaussians that the browser draws. A larger map is drawn as a sample, and the page says so."""
+    drawn_by: Literal["browser", "library"] = "browser"
+    """Who draws the map at first; the page can change it. `library` sends images of all Gaussians, for
+    browsers without a graphics card and for slow connections."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
@@ -51,6 +55,7 @@ def view_command(arguments: list[str]) -> int:
         port=options.port,
         host=options.host,
         max_gaussians=options.max_gaussians,
+        drawn_by=options.drawn_by,
         open_browser=options.open,
     )
     return 0

@@ -11,6 +11,7 @@ from sfgs_jax.viewer._cropping import Box
 from sfgs_jax.viewer._files import LARGEST_SIDE, MAP_FORMATS, SMALLEST_SIDE
 from sfgs_jax.viewer._modes import MODES, Look, Mode
 from sfgs_jax.viewer._path_layer import ENLARGEMENTS, PathLayer
+from sfgs_jax.viewer._server_rendering import DRAWERS, Drawer
 from sfgs_jax.viewer._stage import Stage
 
 _SPEEDS: Mapping[str, float] = MappingProxyType(
@@ -28,16 +29,26 @@ class MapControls:
     Args:
         gui: of the server.
         stage: whose map it is.
+        drawn_by: who draws the map at first; None where the browser has to.
         on_look: told that the map should be drawn another way.
 
     Attributes:
         inputs: viser's handles by their labels.
     """
 
-    def __init__(self, gui: viser.GuiApi, stage: Stage, *, on_look: Callable[[], None]) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, stage: Stage, drawn_by: Drawer | None, *, on_look: Callable[[], None]
+    ) -> None:
         self._gui, self._stage = gui, stage
         low, high = stage.low, np.maximum(stage.high, stage.low + 0.1)
-        gui.add_markdown(stage.map.note)
+        self._note = gui.add_markdown("")
+        self._drawer = gui.add_dropdown(
+            "Drawn by",
+            DRAWERS,
+            initial_value=drawn_by or "browser",
+            visible=drawn_by is not None,
+            hint="The library draws all Gaussians and sends images: for browsers without a graphics card.",
+        )
         self._mode = gui.add_dropdown(
             "Show", tuple(_MODE_NAMES), hint="Colours of the map, or something else."
         )
@@ -73,6 +84,7 @@ class MapControls:
 
         ranges = dict(zip(_AXES, self._ranges, strict=True))
         self.inputs: dict[str, viser.GuiInputHandle] = {
+            "Drawn by": self._drawer,
             "Show": self._mode,
             "Size": self._size,
             "Least opacity": self._opacity,
@@ -81,19 +93,25 @@ class MapControls:
             "Floor": self._floor,
             "Dark": self._dark,
         }
-        for control in (self._mode, self._size, self._opacity):
+        for control in (self._drawer, self._mode, self._size, self._opacity):
             control.on_update(lambda _: on_look())
         for control in (self._crop, *self._ranges):
             control.on_update(crop_changed)
         up.on_click(lambda _: stage.set_up(level=up.value == "Level"))
         self._floor.on_update(lambda _: stage.show_floor(self._floor.value))
         self._dark.on_update(lambda _: self._set_theme())
+        self._dark.on_update(lambda _: on_look())
         self._set_theme()
 
     @property
     def look(self) -> Look:
         """What the controls say."""
         return Look(_MODE_NAMES[self._mode.value], self._size.value, self._opacity.value, self.crop)
+
+    @property
+    def drawn_by(self) -> Drawer:
+        """Who draws the map."""
+        return self._drawer.value
 
     @property
     def crop(self) -> Box | None:
@@ -109,7 +127,8 @@ class MapControls:
         return self._dark.value
 
     def explain(self, legend: str) -> None:
-        """Say what the colours mean; nothing if that is plain."""
+        """Say how many Gaussians are drawn, and what the colours mean; nothing if that is plain."""
+        self._note.content = self._stage.map.note(whole=self.drawn_by == "library")
         self._legend.content, self._legend.visible = legend, bool(legend)
 
     def _set_theme(self) -> None:

@@ -46,47 +46,51 @@ class MapLayer:
         self._total = len(splats)
         self.sent = sampled(splats, most)
         self._colours: dict[str, tuple[Float32[np.ndarray, "n 3"], str]] = {}
-        self._look = Look()
+        self._foggy = False
+        first = self.sent[:1]
         self.node = scene.add_gaussian_splats(
-            "/map", self.sent.centres, self.sent.covariances, self.sent.rgb, self.sent.opacities
+            "/map", first.centres, first.covariances, first.rgb, first.opacities, visible=False
         )
         self.points: viser.PointCloudHandle | None = None
 
-    @property
-    def note(self) -> str:
-        """Number of Gaussians, and how many of them are sent."""
-        if len(self.sent) == self._total:
+    def note(self, *, whole: bool) -> str:
+        """Number of Gaussians, and how many of them are drawn: all, or those that are sent."""
+        if whole or len(self.sent) == self._total:
             return f"{self._total:,} Gaussians"
         return (
             f"{self._total:,} Gaussians. The page draws a sample of {len(self.sent):,}, enlarged to fill "
             "the gaps. Images and files hold all of them."
         )
 
-    def show(self, look: Look) -> str:
+    def show(self, look: Look, *, drawn: bool = True) -> str:
         """Draw the map another way. Sends nothing where nothing changes.
 
         Args:
             look: what to draw.
+            drawn: False takes it from the browsers, because something else draws it.
 
         Returns:
             What the colours mean.
         """
         colours, legend = self._coloured(look.mode)
-        shown = look.shown(self.sent.centres, self.sent.opacities[:, 0])
+        shown = look.shown(self.sent.centres, self.sent.opacities[:, 0]) & drawn
         any_shown, as_points = bool(shown.any()), look.mode == "points"
-        self._fog(look.mode == "depth")
+        self._fog(drawn and look.mode == "depth")
         if any_shown and as_points:
             self._show_points(look, shown)
         elif any_shown:
-            drawn = self.sent[shown]
-            self.node.set_gaussians(
-                drawn.centres, drawn.covariances * np.float32(look.size**2), colours[shown], drawn.opacities
-            )
+            self._send(self.sent[shown], look.size, colours[shown])
+        elif not drawn:
+            # Even hidden Gaussians cost a browser without a graphics card seconds.
+            self._send(self.sent[:1], look.size, colours[:1])
         self.node.visible = any_shown and not as_points
         if self.points is not None:
             self.points.visible = any_shown and as_points
-        self._look = look
         return legend
+
+    def _send(self, splats: Splats, size: float, colours: Float32[np.ndarray, "n 3"]) -> None:
+        scaled = splats.covariances * np.float32(size**2)
+        self.node.set_gaussians(splats.centres, scaled, colours, splats.opacities)
 
     def _show_points(self, look: Look, shown: np.ndarray) -> None:
         drawn = self.sent[shown]
@@ -109,7 +113,8 @@ class MapLayer:
 
     def _fog(self, wanted: bool) -> None:
         """Darken with distance, which the browser does as the camera moves."""
-        if wanted or self._look.mode == "depth":
+        if wanted or self._foggy:
+            self._foggy = wanted
             self._scene.configure_fog(0.0, self._far(), color=(0, 0, 0), enabled=wanted)
 
     def _far(self) -> float:

@@ -9,13 +9,13 @@ from jaxtyping import Array, Float, UInt8
 
 from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.sensors import RollingShutter
-from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, pair_capacity, render
+from sfgs_jax.splatting import Gaussians, Renderer, RenderOutput
 from sfgs_jax.viewer._map_layer import certainty_colours
 from sfgs_jax.viewer._modes import Look, depth_range, normal_colours, turbo
-from sfgs_jax.viewer._splats import Splats
+from sfgs_jax.viewer._splats import Splats, sampled, sampled_gaussians
 
-_HEADROOM = 1.3
-"""Factor on the room for pairs, so that few later views compile anew."""
+_HEADROOM = 1.5
+"""Factor on the first view's need of pairs: a compilation takes longer than many views."""
 
 OPAQUE = 0.5
 """Opacity from which on a pixel has a depth."""
@@ -49,7 +49,14 @@ class Painter:
         self._gaussians, self._splats, self._axes = gaussians, splats, axes
         self._keyframes, self._camera = keyframes, camera
         self._drawn: tuple[Look, Gaussians, Array | None] | None = None
-        self._rooms: dict[tuple[int, int], RenderConfig] = {}
+        self._renderers: dict[tuple[int, int], Renderer] = {}
+
+    def sampled(self, most: int) -> "Painter":
+        """A painter of a sample of so many Gaussians, enlarged to fill the gaps; itself if it has fewer."""
+        if len(self._splats) <= most:
+            return self
+        gaussians, splats = sampled_gaussians(self._gaussians, most), sampled(self._splats, most)
+        return Painter(gaussians, splats, self._axes, self._keyframes, self._camera)
 
     def shown(self, look: Look) -> Gaussians:
         """The Gaussians that a look leaves, unchanged; the others are no longer valid."""
@@ -78,15 +85,8 @@ class Painter:
         """
         gaussians, colours = self._prepared(look)
         pose, behind = se3.from_matrix(T_world_cam), jnp.asarray(background, jnp.float32)
-        if camera.shape not in self._rooms:
-            self._rooms[camera.shape] = self._room(gaussians, camera, T_world_cam)
-        output = render(
-            gaussians, camera, pose, behind, colours, shutter=shutter, config=self._rooms[camera.shape]
-        )
-        if not int(output.overflow):
-            return output
-        self._rooms[camera.shape] = room = self._room(gaussians, camera, T_world_cam)
-        return render(gaussians, camera, pose, behind, colours, shutter=shutter, config=room)
+        renderer = self._renderers.setdefault(camera.shape, Renderer(headroom=_HEADROOM))
+        return renderer(gaussians, camera, pose, behind, colours, shutter=shutter)
 
     def paint(
         self,
@@ -97,16 +97,22 @@ class Painter:
         background: Float[np.ndarray, "3"],
     ) -> UInt8[np.ndarray, "H W 3"]:
         """The same as an image of bytes; depth in Turbo colours, red near and blue far."""
+        return self.paint_with_output(T_world_cam, camera, look, background=background)[0]
+
+    def paint_with_output(
+        self,
+        T_world_cam: Float[np.ndarray, "4 4"],
+        camera: Camera,
+        look: Look,
+        *,
+        background: Float[np.ndarray, "3"],
+    ) -> tuple[UInt8[np.ndarray, "H W 3"], RenderOutput]:
+        """The image of `paint`, and the renderer's output that it was made of, on the host."""
         output = jax.device_get(self.render(T_world_cam, camera, look, background=background))
         if look.mode == "depth":
-            return depth_picture(np.where(output.alpha > OPAQUE, output.depth, 0), background=background)
-        return bytes_of(output.rgb)
-
-    def _room(
-        self, gaussians: Gaussians, camera: Camera, T_world_cam: Float[np.ndarray, "4 4"]
-    ) -> RenderConfig:
-        need = pair_capacity(gaussians, camera, se3.from_matrix(T_world_cam), headroom=_HEADROOM)
-        return RenderConfig(pair_capacity=need)
+            depth = np.where(output.alpha > OPAQUE, output.depth, 0)
+            return depth_picture(depth, background=background), output
+        return bytes_of(output.rgb), output
 
     def _prepared(self, look: Look) -> tuple[Gaussians, Array | None]:
         """Gaussians and colours of a look; None are the map's own."""

@@ -23,6 +23,7 @@ from sfgs_jax.viewer._painting import Painter
 from sfgs_jax.viewer._plain_text import plain_text
 from sfgs_jax.viewer._replay import Replay
 from sfgs_jax.viewer._server import Page
+from sfgs_jax.viewer._server_rendering import Drawer, ServerRendering
 from sfgs_jax.viewer._splats import Splats
 from sfgs_jax.viewer._stage import Stage
 
@@ -46,7 +47,9 @@ class MapScene(Page):
         covariances: of the path's poses, as tangents on the right, translation first; None if unknown.
         frames: the recorded images; None if there are none.
         notes: why something is not there, one sentence each.
-        max_gaussians: Gaussians that a page draws at most; a larger map is drawn as a sample.
+        max_gaussians: Gaussians that a browser draws at most; a larger map is drawn as a sample.
+        drawn_by: who draws the map at first. The library draws it where the browser has no graphics card;
+            it needs `gaussians`.
 
     Attributes:
         server: the viser server.
@@ -70,6 +73,7 @@ class MapScene(Page):
         frames: RecordedFrames | None = None,
         notes: tuple[str, ...] = (),
         max_gaussians: int = MOST_GAUSSIANS,
+        drawn_by: Drawer = "browser",
     ) -> None:
         super().__init__(server)
         self._trajectory, self._keyframes = trajectory, keyframes
@@ -84,12 +88,15 @@ class MapScene(Page):
 
         self._files: MapFiles | None = None
         self._panel: FramePanel | None = None
+        self._server_rendering: ServerRendering | None = None
         if gaussians is not None:
             painter = Painter(gaussians, splats, self._stage.axes, keyframes, camera)
+            self._server_rendering = ServerRendering(server, painter)
             self._files = MapFiles(painter, trajectory)
             if path is not None:
                 self._panel = FramePanel(server.gui, painter, trajectory, camera, frames)
-        self._add_controls(camera, notes)
+        self._add_controls(camera, notes, drawn_by)
+        self._draw(self._look)
         self.show_frame(0)
         server.on_client_connect(lambda _: self._draw_frame())
 
@@ -101,6 +108,8 @@ class MapScene(Page):
             self._downloads.close()
         self._sending.close()
         self._rendering.close()
+        if self._server_rendering is not None:
+            self._server_rendering.close()
         self.server.stop()
 
     def show_map(
@@ -241,11 +250,12 @@ class MapScene(Page):
             raise InputError("The scene was made without `gaussians`: it can't write files of them.")
         return self._files
 
-    def _add_controls(self, camera: Camera | None, notes: tuple[str, ...]) -> None:
+    def _add_controls(self, camera: Camera | None, notes: tuple[str, ...], drawn_by: Drawer) -> None:
         stage, gui = self._stage, self.server.gui
         tabs = gui.add_tab_group()
         with tabs.add_tab("Map"):
-            self._map_controls = MapControls(gui, stage, on_look=self._look_chosen)
+            drawer = None if self._server_rendering is None else drawn_by
+            self._map_controls = MapControls(gui, stage, drawer, on_look=self._look_chosen)
         self._clock: Replay | None = None
         self._replay_controls: ReplayControls | None = None
         if stage.path is not None:
@@ -317,7 +327,12 @@ class MapScene(Page):
 
     def _draw(self, look: Look) -> None:
         self._look = look
-        self._map_controls.explain(self._stage.map.show(look))
+        here = self._server_rendering if self._map_controls.drawn_by == "library" else None
+        self._map_controls.explain(self._stage.map.show(look, drawn=here is None))
+        if here is not None:
+            here.show(look, dark=self._map_controls.dark)
+        elif self._server_rendering is not None:
+            self._server_rendering.hide()
         self._draw_frame()
 
     def _draw_frame(self) -> None:

@@ -1,7 +1,9 @@
 """A map in the browser's form: covariances and colours instead of parameters."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 
@@ -31,7 +33,7 @@ class Splats:
     def __len__(self) -> int:
         return len(self.centres)
 
-    def __getitem__(self, chosen: Int[np.ndarray, " k"] | Bool[np.ndarray, " n"]) -> "Splats":
+    def __getitem__(self, chosen: Int[np.ndarray, " k"] | Bool[np.ndarray, " n"] | slice) -> "Splats":
         return Splats(
             self.centres[chosen], self.covariances[chosen], self.rgb[chosen], self.opacities[chosen]
         )
@@ -64,7 +66,26 @@ def sampled(splats: Splats, most: int) -> Splats:
     count = len(splats)
     if count <= most:
         return splats
-    kept = splats[np.sort(np.random.default_rng(0).permutation(count)[:most])]
+    kept = splats[_sample(count, most)]
     return Splats(
         kept.centres, kept.covariances * np.float32(_CLOSER * count / most), kept.rgb, kept.opacities
     )
+
+
+def sampled_gaussians(gaussians: Gaussians, most: int) -> Gaussians:
+    """The same sample as that of `sampled`, of the Gaussians in use.
+
+    Args:
+        gaussians: the map.
+        most: number of Gaussians to keep.
+    """
+    used = np.flatnonzero(np.asarray(gaussians.valid))
+    if len(used) <= most:
+        return gaussians
+    kept = jax.tree.map(lambda x: x[used[_sample(len(used), most)]], gaussians)
+    larger = 0.5 * np.log(_CLOSER * len(used) / most)
+    return replace(kept, log_scales=kept.log_scales + jnp.float32(larger))
+
+
+def _sample(count: int, most: int) -> Int[np.ndarray, " k"]:
+    return np.sort(np.random.default_rng(0).permutation(count)[:most])

@@ -5,6 +5,7 @@ from pathlib import Path
 from sfgs_jax.viewer._finished_run import open_finished_run
 from sfgs_jax.viewer._scene import MOST_GAUSSIANS, MapScene
 from sfgs_jax.viewer._server import announce, start_server, wait_for_interrupt
+from sfgs_jax.viewer._server_rendering import Drawer
 from sfgs_jax.viewer._splats import splats_of
 
 
@@ -14,6 +15,7 @@ def view_run(
     port: int = 8080,
     host: str = "127.0.0.1",
     max_gaussians: int = MOST_GAUSSIANS,
+    drawn_by: Drawer = "browser",
     open_browser: bool = False,
     block: bool = True,
 ) -> MapScene:
@@ -25,7 +27,8 @@ def view_run(
         path: folder that a run wrote; or a .ply, .splat, .spz or .glb file, which is shown without a path.
         port: port to listen on; the next free one is taken if it is in use, and 0 takes any free one.
         host: address to listen on; "0.0.0.0" lets other machines look, without any password.
-        max_gaussians: Gaussians that the page draws at most; a larger map is drawn as a sample.
+        max_gaussians: Gaussians that the browser draws at most; a larger map is drawn as a sample.
+        drawn_by: who draws the map at first: the browser, or the library, which sends images of all of it.
         open_browser: open the page in the browser of this machine.
         block: wait for Ctrl-C, stop the server, and return then.
 
@@ -49,6 +52,7 @@ def view_run(
         frames=run.frames,
         notes=run.notes,
         max_gaussians=max_gaussians,
+        drawn_by=drawn_by,
     )
     for note in run.notes:
         print(note, flush=True)

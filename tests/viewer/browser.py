@@ -72,6 +72,14 @@ class OpenPage:
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         with self.page.expect_console_message(lambda message: message.text.startswith("Connected!")):
             self.page.goto(f"http://127.0.0.1:{port}")
+        self._clear()
+
+    def reload(self) -> None:
+        """Load the page again."""
+        self.page.reload()
+        self._clear()
+
+    def _clear(self) -> None:
         self.page.locator("canvas").first.wait_for()
         # viser warns of WebGL in software, over whatever lies at the top left.
         self.page.add_style_tag(content="#webgl-software-rendering { display: none }")

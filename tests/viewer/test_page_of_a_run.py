@@ -58,8 +58,7 @@ def received(page):
     """Sizes of what the page receives, from a second visit on."""
     sizes: list[int] = []
     page.page.on("websocket", lambda socket: socket.on("framereceived", lambda data: sizes.append(len(data))))
-    page.page.reload()
-    page.page.locator("canvas").first.wait_for()
+    page.reload()
     wait_until(page, lambda: sum(sizes) > 20_000)
     return sizes
 
