@@ -26,8 +26,8 @@ class ViewArguments:
     max_gaussians: int = 300_000
     """Most Gaussians that the browser draws. A larger map is drawn as a sample, and the page says so."""
     drawn_by: Literal["browser", "library"] = "browser"
-    """Who draws the map at first; the page can change it. `library` sends images of all Gaussians, for
-    browsers without a graphics card and for slow connections."""
+    """Drawer of the map at first; the page can change it. The choice `library` sends images of all Gaussians,
+    for browsers without a graphics card and for slow connections."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""

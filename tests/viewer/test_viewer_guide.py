@@ -63,7 +63,7 @@ def test_the_example_with_a_map_in_memory_runs(gaussians, trajectory):
 
 def test_every_control_and_option_exists():
     controls = re.findall(r"^\| ([A-Z][A-Za-z ,]+) \|", GUIDE, re.MULTILINE)
-    assert len(controls) == 19
+    assert len(controls) == 20
     source = (Path(inspect.getfile(MapScene)).parent / "_controls.py").read_text()
     names = [name for control in controls for name in control.split(", ")]
     assert all(f'"{name}"' in source for name in names)
