@@ -27,6 +27,13 @@ def _run_lines(metrics: dict[str, Any]) -> list[str]:
         line = f"{frames['tracked']} of {frames['total']} frames tracked, {frames['keyframes']} keyframes"
         gaussians = metrics.get("map", {}).get("gaussians")
         lines.append(line if gaussians is None else f"{line}, {gaussians} Gaussians")
+    if elsewhere := frames.get("in_other_maps"):
+        count = metrics["map"]["number"] - 1
+        maps = "another map" if count == 1 else f"{count} other maps"
+        lines.append(
+            f"{elsewhere} frames are in {maps}: they share no place with the largest that was recognised "
+            "(trajectory_2.txt, map_2.ply, and so on)"
+        )
     if {"frames", "overall"} <= speed.keys():
         lines.append(
             f"{speed['frames']} frames/s after the first frame "

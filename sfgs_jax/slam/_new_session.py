@@ -10,7 +10,8 @@ from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import HELD_OUT_EVERY
 from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam.config import SlamConfig
-from sfgs_jax.slam.state import SlamState, Tracker, empty_log, empty_tracker
+from sfgs_jax.slam.frontend import without_pose
+from sfgs_jax.slam.state import SlamState, Tracker, empty_log
 
 
 def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState:
@@ -54,7 +55,5 @@ def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState
 
 def _lost(tracker: Tracker, num_keyframes: int) -> Tracker:
     """The tracker without a pose and without references."""
-    slots = len(tracker.reference_keyframes)
-    empty = empty_tracker(tracker.last, tracker.last_registration, slots)
     count = jax.device_put(np.asarray(num_keyframes, np.int32))
-    return eqx.tree_at(lambda t: (t.num_keyframes, t.timing), empty, (count, tracker.timing))
+    return eqx.tree_at(lambda t: t.num_keyframes, without_pose(tracker), count)

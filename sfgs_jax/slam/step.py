@@ -16,7 +16,7 @@ from sfgs_jax.geometry import Frame, se3, warn_unless_metres
 from sfgs_jax.slam._frame_brightness import look_of
 from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._graph_results import with_graph
-from sfgs_jax.slam.frontend import TrackInfo, find_frame, with_corrected_depth
+from sfgs_jax.slam.frontend import Found, TrackInfo, find_frame, with_corrected_depth
 from sfgs_jax.slam.keyframes import advance_graph, motion_covariance, revisited, with_new_keyframes
 from sfgs_jax.slam.mapping import becomes_view, map_frame, view_of
 from sfgs_jax.slam.state import (
@@ -85,9 +85,9 @@ def follow(
     number, time = state.next_frame if number is None else number, float(frame.timestamp)
     params, config, since = state.params, state.config.graph, time - state.last_timestamp
     with stages("tracking"):
-        tracker, found, by_looks = find_frame(params, state.tracker, frame, since, state.graph, config)
-        tracker, found = revisited(params, tracker, found, state.graph, config)
-        info = _info(found, by_looks)
+        found = find_frame(params, state.tracker, frame, since, state.graph, config)
+        found = revisited(params, found, state.graph, config)
+        tracker, info = found.tracker, _info(found)
     before, state = state, replace(state, tracker=tracker, next_frame=number + 1, last_timestamp=time)
     if not info.tracked:
         state = replace(state, num_lost=state.num_lost + 1)
@@ -95,11 +95,11 @@ def follow(
 
     with stages("graph"):
         frames = (before.log.newest, number)
-        graph = with_new_keyframes(params, before.graph, before.tracker, tracker, found, frames, config)
+        graph = with_new_keyframes(params, before.graph, before.tracker, found, frames, config)
         grown = len(graph.keyframes) > len(before.graph.keyframes)
         graph, closed = advance_graph(params, graph, config, grown=grown)
         state = with_graph(state, graph)
-    keyframe, T_keyframe_cam, covariance = _place_in_graph(state, found, info)
+    keyframe, T_keyframe_cam, covariance = _place_in_graph(state, found.info, info)
     look, brighter = look_of(state, frame, keyframe, T_keyframe_cam)
     log = state.log.with_frame(time, number, keyframe, T_keyframe_cam, covariance, brighter)
     view = None
@@ -115,9 +115,9 @@ def follow(
     return Followed(state, info, view)
 
 
-def _info(found: TrackInfo, relocalised: bool) -> StepInfo:
+def _info(ladder: Found) -> StepInfo:
     """The report once a frame has been tracked; one transfer from the device."""
-    by = found.registration
+    found, by = ladder.info, ladder.info.registration
     wanted = (found.source, found.new_keyframe, by.inlier_fraction, by.rmse, by.matched.num_matches)
     source, new_keyframe, fraction, rmse, matches, inliers = jax.device_get((*wanted, by.matched.num_inliers))
     return StepInfo(
@@ -125,8 +125,9 @@ def _info(found: TrackInfo, relocalised: bool) -> StepInfo:
         covariance=np.diag(np.full(6, np.inf)),
         tracked=int(source) != PoseSource.LOST,
         source=PoseSource(int(source)),
-        relocalised=relocalised,
+        relocalised=ladder.by_looks,
         new_keyframe=bool(new_keyframe),
+        new_map=ladder.begins_map,
         new_view=False,
         loop_closed=False,
         inlier_fraction=float(fraction),

@@ -118,7 +118,20 @@ def test_a_status_prints_its_name():
 
 def test_a_step_prints_what_happened():
     info = StepInfo(
-        POSE, np.eye(6), True, PoseSource.JOINT, False, True, False, False, 0.91, 0.0042, 301, 280, np.nan
+        POSE,
+        np.eye(6),
+        True,
+        PoseSource.JOINT,
+        False,
+        True,
+        False,
+        False,
+        False,
+        0.91,
+        0.0042,
+        301,
+        280,
+        np.nan,
     )
     assert str(info) == (
         "StepInfo(tracked=True, source=JOINT, T_world_cam=(0.1, 0, -2) m 0°, rmse=0.0042 m, "

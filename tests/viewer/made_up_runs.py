@@ -82,6 +82,7 @@ def progress_of(recording: SyntheticRecording, state: SlamState) -> Iterator[sla
             source=slam.PoseSource.JOINT,
             relocalised=False,
             new_keyframe=False,
+            new_map=False,
             new_view=False,
             loop_closed=False,
             inlier_fraction=1.0,

@@ -73,12 +73,20 @@ class GraphConfig:
     """Speed at which that distance grows while the camera is lost, m/s: a quick walk."""
     relocalisation_frames: int = 5
     """Frames in a row that have to be found at one place before they are believed beyond that distance."""
+    new_map_frames: int = 30
+    """Frames with keypoints that fit no known place, after which a lost camera begins another map; 0 never
+    begins one. Maps become one when a place of both is recognised."""
+    map_support: int = 5
+    """Loops between two maps that must agree before the maps become one, at most `max_loop_candidates`.
+    Nothing else tells where the maps lie to each other."""
     capacity: int = 128
     """Keyframes that the solver has room for at first. It doubles when full."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
-        check_counts(self, 1, "registrations_per_frame", "backlog", "max_landmarks", "loop_support")
+        check_counts(
+            self, 1, "registrations_per_frame", "backlog", "max_landmarks", "loop_support", "map_support"
+        )
         check_counts(self, 2, "capacity")
         check_counts(self, self.loop_support, "max_loop_candidates")
         check_counts(
@@ -91,7 +99,7 @@ class GraphConfig:
             "loop_gap",
             "loop_inliers",
         )
-        check_counts(self, 0, "relocalisation_candidates", "relocalisation_inliers")
+        check_counts(self, 0, "relocalisation_candidates", "relocalisation_inliers", "new_map_frames")
         check_counts(self, 1, "relocalisation_frames")
         check_range(self, 0, math.inf, "relocalisation_distance", "relocalisation_speed")
         check_positive(self, "edge_sigma_metres", "edge_sigma_radians", "kernel_width")

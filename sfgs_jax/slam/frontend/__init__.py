@@ -11,12 +11,16 @@ from sfgs_jax.slam.frontend._frame_features import with_corrected_depth as with_
 from sfgs_jax.slam.frontend._image_signature import similarities as similarities
 from sfgs_jax.slam.frontend._joint_registration import Allowed as Allowed
 from sfgs_jax.slam.frontend._joint_registration import register as register
+from sfgs_jax.slam.frontend._localisation import Found as Found
 from sfgs_jax.slam.frontend._localisation import Localised as Localised
 from sfgs_jax.slam.frontend._localisation import find_frame as find_frame
 from sfgs_jax.slam.frontend._localisation import place as place
 from sfgs_jax.slam.frontend._localisation import relocalise as relocalise
 from sfgs_jax.slam.frontend._localisation import search_by_surface as search_by_surface
+from sfgs_jax.slam.frontend._new_map import begin_map as begin_map
+from sfgs_jax.slam.frontend._new_map import without_pose as without_pose
 from sfgs_jax.slam.frontend._pose_source import Evidence as Evidence
+from sfgs_jax.slam.frontend._pose_source import confirms_loop as confirms_loop
 from sfgs_jax.slam.frontend._pose_source import judge as judge
 from sfgs_jax.slam.frontend._pose_source import supports_edge as supports_edge
 from sfgs_jax.slam.frontend._pose_source import supports_loop as supports_loop

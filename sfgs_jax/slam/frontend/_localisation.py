@@ -1,11 +1,12 @@
-"""Localisation of a frame: the ladder from the last pose to any keyframe.
+"""Localisation of a frame: the ladder from the last pose to any keyframe, and to a map of its own.
 
 1. `track`: the motion model, the last pose, and the frame before, in one compiled program.
 2. Relocalisation: registration to the keyframes whose images look most alike; only many matches count. Out of
    reach of the last pose, several frames in a row have to find the same place.
 3. Search by the surface: registration to the reference and the frame before from turned guesses.
+4. Another map: after many frames in a row that fit no known place, the newest begins one.
 
-Steps 2 and 3 run only where `track` has lost the frame.
+Steps 2 to 4 run only where `track` has lost the frame.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._image_signature import similarities
 from sfgs_jax.slam.frontend._joint_registration import register
+from sfgs_jax.slam.frontend._new_map import begin_map, with_unknown_place
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation
 from sfgs_jax.slam.frontend._recorrection import features_in_use
 from sfgs_jax.slam.frontend._suspicion import NO_SUSPICION, is_reachable, strengthened, undisputed
@@ -62,6 +64,22 @@ class Localised(NamedTuple):
     relocalised: bool
 
 
+class Found(NamedTuple):
+    """A frame that went up the ladder.
+
+    Attributes:
+        tracker: after the frame.
+        info: what happened to it.
+        by_looks: whether it was found by its looks.
+        begins_map: whether it is the first frame of another map.
+    """
+
+    tracker: Tracker
+    info: TrackInfo
+    by_looks: bool = False
+    begins_map: bool = False
+
+
 def find_frame(
     params: TrackerParams,
     tracker: Tracker,
@@ -69,7 +87,7 @@ def find_frame(
     since: float,
     graph: KeyframeGraph,
     config: GraphConfig,
-) -> tuple[Tracker, TrackInfo, bool]:
+) -> Found:
     """Go up the ladder with a frame until it is found.
 
     Args:
@@ -79,22 +97,24 @@ def find_frame(
         since: seconds since the frame before; not positive or not finite if unknown.
         graph: keyframes to look in.
         config: settings of relocalisation.
-
-    Returns:
-        The tracker after the frame, what happened to it, and whether it was found by its looks.
     """
     elapsed = np.float32(since if 0 < since < np.inf else 0)
     keypoints = host_keypoints(params, frame)
     after, info = track(params, tracker, mean_grey(frame.rgb), frame.depth, elapsed, keypoints)
     if int(info.source) != PoseSource.LOST:
-        return after, info, False
+        return Found(after, info)
     if not graph.keyframes:
-        return after, info, False
-    found, suspicion = relocalise(params, after, info.features, graph, config, seconds=float(elapsed))
-    found = found or search_by_surface(params, tracker, info.features)
-    if found is None:
-        return eqx.tree_at(lambda t: t.suspicion, after, jax.device_put(suspicion)), info, False
-    return *place(params, after, info.features, found), found.relocalised
+        return Found(after, info)
+    place_of, suspicion = relocalise(params, after, info.features, graph, config, seconds=float(elapsed))
+    place_of = place_of or search_by_surface(params, tracker, info.features)
+    if place_of is not None:
+        return Found(*place(params, after, info.features, place_of), by_looks=place_of.relocalised)
+    suspicion = with_unknown_place(tracker.suspicion, suspicion, info.features, config)
+    after = eqx.tree_at(lambda t: t.suspicion, after, jax.device_put(suspicion))
+    if 0 < config.new_map_frames <= int(suspicion.unknown):
+        begun, first = begin_map(params, after, frame, graph)
+        return Found(begun, first, begins_map=bool(first.new_keyframe))
+    return Found(after, info)
 
 
 def relocalise(

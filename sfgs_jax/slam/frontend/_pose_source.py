@@ -112,6 +112,20 @@ def supports_edge(
     return int(found.source) in sources and correction < config.max_correction
 
 
+def confirms_loop(found: Registration, config: GraphConfig) -> bool:
+    """True if keypoints and surface confirm that two keyframes show the same, or what looks the same.
+
+    Args:
+        found: their registration.
+        config: settings.
+    """
+    return (
+        int(found.source) == PoseSource.JOINT
+        and int(found.matched.num_inliers) >= config.loop_inliers
+        and float(found.inlier_fraction) >= config.loop_inlier_fraction
+    )
+
+
 def supports_loop(found: Registration, off: np.ndarray, drift: float, config: GraphConfig) -> bool:
     """True if a registration may close a loop: keypoints and surface confirm it, and drift explains it.
 
@@ -124,10 +138,5 @@ def supports_loop(found: Registration, off: np.ndarray, drift: float, config: Gr
         drift: largest drift that is likely between the keyframes, metres.
         config: settings.
     """
-    confirmed = (
-        int(found.source) == PoseSource.JOINT
-        and int(found.matched.num_inliers) >= config.loop_inliers
-        and float(found.inlier_fraction) >= config.loop_inlier_fraction
-    )
-    bound = config.loop_slack + drift
-    return bool(confirmed and np.linalg.norm(off[:3]) < bound and np.linalg.norm(off[3:]) < config.max_turn)
+    near = np.linalg.norm(off[:3]) < config.loop_slack + drift
+    return bool(confirms_loop(found, config) and near and np.linalg.norm(off[3:]) < config.max_turn)

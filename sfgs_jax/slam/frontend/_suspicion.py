@@ -10,7 +10,9 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import Suspicion
 
-NO_SUSPICION = Suspicion(np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32), np.asarray(0, np.int32))
+NO_SUSPICION = Suspicion(
+    np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32), np.asarray(0, np.int32), np.asarray(0, np.int32)
+)
 
 
 def is_reachable(
@@ -61,4 +63,5 @@ def strengthened(
     """
     before = int(suspicion.frames)
     agrees = before > 0 and is_reachable(pose, np.asarray(suspicion.pose), seconds, config)
-    return Suspicion(np.asarray(pose, np.float32), np.asarray(before + 1 if agrees else 1, np.int32))
+    frames = np.asarray(before + 1 if agrees else 1, np.int32)
+    return Suspicion(np.asarray(pose, np.float32), frames, np.asarray(0, np.int32))

@@ -354,6 +354,7 @@ def _moved(
             t.motion_model_frames,
             t.motion_model_travel,
             t.suspicion.frames,
+            t.suspicion.unknown,
         ),
         after,
         (
@@ -365,6 +366,7 @@ def _moved(
             _counted(tracker.motion_model_frames, 1, by_model, tracked),
             _counted(tracker.motion_model_travel, extent(predicted), by_model, tracked),
             jnp.where(tracked, 0, tracker.suspicion.frames),
+            jnp.where(tracked, 0, tracker.suspicion.unknown),
         ),
     )
 

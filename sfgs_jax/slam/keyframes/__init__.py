@@ -30,6 +30,7 @@ from sfgs_jax.slam.keyframes._loops import accept_consistent_loops as accept_con
 from sfgs_jax.slam.keyframes._loops import likely_drift as likely_drift
 from sfgs_jax.slam.keyframes._loops import loop_pairs as loop_pairs
 from sfgs_jax.slam.keyframes._loops import with_candidate as with_candidate
+from sfgs_jax.slam.keyframes._merging import merged as merged
 from sfgs_jax.slam.keyframes._pose_graph import bend as bend
 from sfgs_jax.slam.keyframes._pose_graph import compile_ahead as compile_ahead
 from sfgs_jax.slam.keyframes._pose_graph import is_contradicted as is_contradicted

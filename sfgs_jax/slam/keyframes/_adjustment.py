@@ -26,6 +26,7 @@ from sfgs_jax.slam.keyframes._covariances import best_known
 from sfgs_jax.slam.keyframes._edges import relative_poses
 from sfgs_jax.slam.keyframes._landmarks import chosen, positions, thinned
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._maps import first_keyframes
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _SOLVER = SolverConfig(max_iterations=4, cost_tolerance=1e-3)
@@ -106,7 +107,7 @@ def window_of(
 ) -> Window:
     """The window around a keyframe: all keyframes, where there are few enough.
 
-    The first keyframe keeps it in place, and so do keyframes that are tied to others outside.
+    The first keyframe of the map keeps it in place, and so do keyframes that are tied to others outside.
 
     Args:
         params: parameters of tracking.
@@ -166,9 +167,9 @@ def _members(graph: KeyframeGraph, size: int, around: int) -> Int[np.ndarray, " 
 def _free(
     graph: KeyframeGraph, place: Int[np.ndarray, " n"], members: Int[np.ndarray, " w"], size: int
 ) -> Bool[np.ndarray, " W"]:
-    """Poses that move: those of keyframes that are tied to no keyframe outside, but for the first."""
+    """Poses that move: those of keyframes tied to no keyframe outside, but for the first of the map."""
     free = np.zeros(size, bool)
-    free[: len(members)] = members > 0
+    free[: len(members)] = ~first_keyframes(graph)[members]
     for edge in graph.edges:
         a, b = place[edge.target], place[edge.source]
         if (a < 0) != (b < 0):

@@ -19,9 +19,11 @@ from sfgs_jax.slam.keyframes._depth_estimate import with_new_offsets, with_regis
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, likely_drift, with_candidate
+from sfgs_jax.slam.keyframes._merging import with_bridge_tried
 from sfgs_jax.slam.keyframes._pose_graph import compile_ahead, is_contradicted, optimise_poses
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._maps import maps_of
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
 
@@ -112,6 +114,9 @@ def _register_next(
     (target, source), rest = graph.pending[0], graph.pending[1:]
     graph = replace(graph, pending=rest)
     a, b = (features_in_use(params, graph.keyframes[number]) for number in (target, source))
+    maps = maps_of(graph)
+    if maps[target] != maps[source]:
+        return with_bridge_tried(params, graph, target, source, (a, b), config)
     found, off = register_pair(params, graph, target, source, (a, b))
     correction = float(max(np.linalg.norm(off[:3]), np.linalg.norm(off[3:])))
     with_keypoints = params.config.features.kind != "none"

@@ -4,12 +4,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax
+import jaxlie
 import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend import TrackInfo, estimated_timing, features_in_use, offsets_in_use
+from sfgs_jax.slam.frontend import Found, estimated_timing, features_in_use, offsets_in_use
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
@@ -17,6 +18,7 @@ from sfgs_jax.slam.keyframes._loops import loop_pairs
 from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew, with_first_motion
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
+from sfgs_jax.slam.state._maps import maps_of
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at
 
@@ -25,8 +27,7 @@ def with_new_keyframes(
     params: TrackerParams,
     graph: KeyframeGraph,
     before: Tracker,
-    after: Tracker,
-    found: TrackInfo,
+    found: Found,
     frames: tuple[int, int],
     config: GraphConfig,
 ) -> KeyframeGraph:
@@ -36,14 +37,15 @@ def with_new_keyframes(
         params: parameters of tracking.
         graph: before.
         before: tracker before the frame.
-        after: tracker after it; its references are the features of the new keyframes.
-        found: what happened to the frame.
+        found: the tracker after it, whose references are the features of the new keyframes, and what happened
+            to the frame.
         frames: numbers of the newest tracked frame before it, and of the frame itself.
         config: settings.
     """
-    taken, bridged = bool(found.new_keyframe), bool(found.bridged)
-    if not graph.keyframes:
-        return first_keyframe(params, graph, _reference(after, 0, frames[1]))
+    after, info = found.tracker, found.info
+    taken, bridged = bool(info.new_keyframe), bool(info.bridged)
+    if found.begins_map or not graph.keyframes:
+        return first_keyframe(params, graph, _reference(after, 0, frames[1]), info.T_world_cam, config)
     if graph.keyframes[-1].frame == frames[0]:
         graph = with_first_motion(graph, np.asarray(after.last_motion.twist))
     if bridged:
@@ -52,8 +54,8 @@ def with_new_keyframes(
         new = _reference(after, int(taken), frames[0])
         graph = insert_keyframe(params, graph, new, before.last_registration, reference, config)
     if taken:
-        new, reference = _reference(after, 0, frames[1]), int(found.reference)
-        graph = insert_keyframe(params, graph, new, found.registration, reference, config)
+        new, reference = _reference(after, 0, frames[1]), int(info.reference)
+        graph = insert_keyframe(params, graph, new, info.registration, reference, config)
     if (taken or bridged) and params.config.estimate_timing:
         _, covariance = estimated_timing(params, after)
         graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))
@@ -86,16 +88,22 @@ def _reference(tracker: Tracker, back: int, frame: int) -> Reference:
     return Reference(reference_at(tracker, slot.astype(np.int32)), motion.twist, times, frame)
 
 
-def first_keyframe(params: TrackerParams, graph: KeyframeGraph, new: Reference) -> KeyframeGraph:
-    """The graph with its first keyframe, whose camera is the world frame.
+def first_keyframe(
+    params: TrackerParams, graph: KeyframeGraph, new: Reference, T_world_cam: jaxlie.SE3, config: GraphConfig
+) -> KeyframeGraph:
+    """The graph with the first keyframe of a map, waiting to be tied to those of other maps.
 
     Args:
         params: parameters of tracking.
-        graph: without keyframes.
+        graph: before.
         new: the frame.
+        T_world_cam: where the map begins; the identity for the first map, whose camera is the world frame.
+        config: settings.
     """
-    identity = np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32)
-    return _with_keyframe(params, graph, new, identity, identity, np.zeros((1, 6, 6)), reference=0)
+    identity, pose = np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32), np.asarray(T_world_cam.wxyz_xyz)
+    number = len(graph.keyframes)
+    graph = _with_keyframe(params, graph, new, pose, identity, np.zeros((1, 6, 6)), reference=number)
+    return replace(graph, pending=(*graph.pending, *loop_pairs(graph, config))) if config.enabled else graph
 
 
 def insert_keyframe(
@@ -180,7 +188,9 @@ def neighbours(graph: KeyframeGraph, config: GraphConfig) -> tuple[tuple[int, in
     known = {edge.target for edge in graph.edges if edge.source == newest}
     distance = np.linalg.norm(poses[:newest, :3, 3] - poses[newest, :3, 3], axis=1)
     angle = np.arccos(np.clip(poses[:newest, :3, 2] @ poses[newest, :3, 2], -1, 1))
+    maps = maps_of(graph)
     near = (distance < config.neighbour_distance) & (angle < config.neighbour_angle)
+    near &= maps[:newest] == maps[newest]
     if not config.loops:
         near &= newest - np.arange(newest) <= config.loop_gap
     order = np.argsort(distance + angle, kind="stable")

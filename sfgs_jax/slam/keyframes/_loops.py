@@ -1,5 +1,6 @@
 """Loop closure: candidates by image similarity, verification by registration, pairwise consistency."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jaxlie
@@ -11,23 +12,25 @@ from sfgs_jax.slam.frontend._localisation import keyframe_similarities
 from sfgs_jax.slam.keyframes._edges import relative_poses
 from sfgs_jax.slam.keyframes._pose_graph import padded_poses, pose_capacity
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
+from sfgs_jax.slam.state._maps import maps_of
 
 _DEVIATIONS = 5.0
 """Standard deviations that a drift hardly exceeds, though errors of registrations have long tails."""
 
 
 def loop_pairs(graph: KeyframeGraph, config: GraphConfig) -> tuple[tuple[int, int], ...]:
-    """Pairs (target, source) of the newest keyframe with earlier ones that look like it.
+    """Pairs (target, source) of the newest keyframe with earlier ones, or of other maps, that look like it.
 
     Args:
         graph: with at least one keyframe.
         config: settings.
     """
-    newest = len(graph.keyframes) - 1
-    old = newest - config.loop_gap
-    if not config.loops or old < 1:
+    newest, maps = len(graph.keyframes) - 1, maps_of(graph)
+    far = (np.arange(newest) < newest - config.loop_gap) | (maps[:newest] != maps[newest])
+    if not config.loops or not far.any():
         return ()
-    alike = keyframe_similarities(graph.keyframes, graph.keyframes[newest].features)[:old]
+    alike = keyframe_similarities(graph.keyframes, graph.keyframes[newest].features)[:newest]
+    alike = np.where(far, alike, -np.inf)
     order = np.argsort(-alike, kind="stable")[: config.loop_candidates]
     return tuple((int(i), newest) for i in order if alike[i] > config.loop_similarity)
 
@@ -44,7 +47,9 @@ def likely_drift(graph: KeyframeGraph, start: int, end: int, config: GraphConfig
         config: settings.
     """
     steps = np.diff(graph.poses[start : end + 1, 4:], axis=0)
-    travelled = np.linalg.norm(steps, axis=1).sum()
+    # Nothing is known about the way from one map to another.
+    same = np.diff(maps_of(graph)[start : end + 1]) == 0
+    travelled = np.linalg.norm(steps[same], axis=1).sum()
     variances = np.trace(graph.covariances[[start, end], :3, :3], axis1=1, axis2=2)
     return float(min(config.max_drift * travelled, _DEVIATIONS * np.sqrt(variances).sum()))
 
@@ -70,9 +75,25 @@ def accept_consistent_loops(graph: KeyframeGraph, config: GraphConfig) -> tuple[
     Returns:
         The graph, and whether a loop was closed.
     """
-    candidates = graph.candidates
-    if len(candidates) < config.loop_support:
+    maps = maps_of(graph)
+    candidates = [c for c in graph.candidates if maps[c.target] == maps[c.source]]
+    closed = agreeing(graph, candidates, config)
+    if len(closed) < config.loop_support:
         return graph, False
+    others = tuple(c for c in graph.candidates if maps[c.target] != maps[c.source])
+    return replace(graph, edges=(*graph.edges, *closed), candidates=others), True
+
+
+def agreeing(graph: KeyframeGraph, candidates: Sequence[Edge], config: GraphConfig) -> tuple[Edge, ...]:
+    """The candidates that agree with each other, as loops.
+
+    Args:
+        graph: with their keyframes.
+        candidates: at most `max_loop_candidates`.
+        config: settings.
+    """
+    if not candidates:
+        return ()
     poses = padded_poses(graph.poses, pose_capacity(graph, config))
     # Each is judged by its own deviations.
     noise = replace(graph.noise, redundancy=1.0)
@@ -80,8 +101,4 @@ def accept_consistent_loops(graph: KeyframeGraph, config: GraphConfig) -> tuple[
         relative_poses(candidates, config.max_loop_candidates, noise=noise, offsets=graph.offsets),
         Values(jaxlie.SE3(poses)),
     )
-    if agreed.sum() < config.loop_support:
-        return graph, False
-    pairs = zip(candidates, agreed[: len(candidates)], strict=True)
-    closed = tuple(replace(edge, loop=True) for edge, good in pairs if good)
-    return replace(graph, edges=(*graph.edges, *closed), candidates=()), True
+    return tuple(replace(edge, loop=True) for edge, good in zip(candidates, agreed, strict=False) if good)

@@ -16,6 +16,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._edges import CONSISTENT, motions_of, relative_poses
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
+from sfgs_jax.slam.state._maps import first_keyframes
 
 _SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4)
 
@@ -25,7 +26,7 @@ _asked_for: set[tuple[int, GraphConfig]] = set()
 
 
 def optimise_poses(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
-    """The graph with all keyframes' poses by all registrations, the first keyframe fixed.
+    """The graph with all keyframes' poses by all registrations, the first keyframe of each map fixed.
 
     A Huber kernel bounds the effect of a wrong registration. Loops get dynamic covariance scaling, which
     gives them up altogether where the rest of the graph contradicts them.
@@ -106,7 +107,7 @@ def _problem(
         block(loops, doubled(capacity, len(loops)), kernel="dynamic_covariance_scaling"),
     ]
     free = np.zeros(capacity, bool)
-    free[1 : len(graph.keyframes)] = True
+    free[: len(graph.keyframes)] = ~first_keyframes(graph)
     capacities = Capacities.for_trajectory(edges=room)
     return FactorGraph(factors, num_poses=capacity, free_poses=free, capacities=capacities)
 

@@ -9,20 +9,19 @@ from jaxtyping import Array, Float, Int
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
-from sfgs_jax.slam.frontend import TrackInfo, features_in_use, needs_keyframe
+from sfgs_jax.slam.frontend import Found, TrackInfo, features_in_use, needs_keyframe
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_edge
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.keyframes._edges import CONSISTENT
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._maps import maps_of
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at, with_reference
 
 
-def revisited(
-    params: TrackerParams, tracker: Tracker, found: TrackInfo, graph: KeyframeGraph, config: GraphConfig
-) -> tuple[Tracker, TrackInfo]:
+def revisited(params: TrackerParams, found: Found, graph: KeyframeGraph, config: GraphConfig) -> Found:
     """Track on in a keyframe from before, where a frame became a keyframe that would add nothing.
 
     It adds nothing if a keyframe is near that shows the same, and if both agree within the noise of their
@@ -30,33 +29,34 @@ def revisited(
 
     Args:
         params: parameters of tracking.
-        tracker: after the frame.
-        found: what happened to the frame.
+        found: the tracker after the frame, and what happened to it.
         graph: keyframes before the frame.
         config: settings.
 
     Returns:
-        The tracker and what happened to the frame, changed where a keyframe was returned to.
+        Both, changed where a keyframe was returned to.
     """
+    tracker, info = found.tracker, found.info
     wanted = config.enabled and config.return_to_keyframes and params.depth_correction is None
-    added = bool(found.new_keyframe) and not bool(found.bridged)
+    added = bool(info.new_keyframe) and not bool(info.bridged) and not found.begins_map
     if not (wanted and added and graph.keyframes):
-        return tracker, found
-    number = _nearest(graph, found, params.config, config)
+        return found
+    number = _nearest(graph, info, params.config, config)
     if number is None:
-        return tracker, found
+        return found
     target = features_in_use(params, graph.keyframes[number])
-    expected = se3.compose(se3.inverse(graph.pose(number)), found.T_world_cam)
+    expected = se3.compose(se3.inverse(graph.pose(number)), info.T_world_cam)
     again = register(params, reference_at(tracker, tracker.current), target, expected)
     off = np.asarray(se3.log(se3.compose(se3.inverse(expected), again.T_target_source)), np.float64)
     with_keypoints = params.config.features.kind != "none"
     if not supports_edge(again, float(np.abs(off).max()), config, with_keypoints=with_keypoints):
-        return tracker, found
-    agrees = _agrees(params, graph, (found.registration, again), off)
+        return found
+    agrees = _agrees(params, graph, (info.registration, again), off)
     if bool(needs_keyframe(again, params.config)) or not agrees:
-        return tracker, found
+        return found
     keyframe = np.asarray(number, np.int32)
-    return return_to_keyframe(tracker, found, target, graph.poses[number], keyframe, again)
+    tracker, info = return_to_keyframe(tracker, info, target, graph.poses[number], keyframe, again)
+    return found._replace(tracker=tracker, info=info)
 
 
 def _nearest(
@@ -70,6 +70,8 @@ def _nearest(
     cosine = (np.einsum("nij,ij->n", keyframes[:, :3, :3], frame[:3, :3]) - 1) / 2
     angle = np.arccos(np.clip(cosine, -1, 1))
     left = np.maximum(distance / tracking.keyframe_translation, angle / tracking.keyframe_rotation)
+    maps = maps_of(graph)
+    left[maps != maps[int(found.reference)]] = np.inf
     left[int(found.reference)] = np.inf
     if not config.loops:
         left[: max(0, len(left) - config.loop_gap)] = np.inf

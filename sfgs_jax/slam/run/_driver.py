@@ -23,6 +23,7 @@ from sfgs_jax.slam.mapping import (
     follow_trajectory,
     refine_once,
 )
+from sfgs_jax.slam.run._finished_maps import FinishedMap, maps_of_run
 from sfgs_jax.slam.run._stopwatch import Stopwatch
 from sfgs_jax.slam.run._storage import load, remove_other_images, save, saved_facts, spill, spill_views
 from sfgs_jax.slam.run._warm_up import warm_up
@@ -124,25 +125,29 @@ class Run:
         return self.state.config
 
     @property
+    def maps(self) -> tuple[FinishedMap, ...]:
+        """Maps that nothing ties to each other, that of most frames first; most runs have one."""
+        return maps_of_run(self.state)
+
+    @property
     def trajectory(self) -> Trajectory:
-        """Poses of the tracked frames, by where the graph has their keyframes now."""
-        return self.state.trajectory
+        """Poses of the frames of the largest map, by where the graph has their keyframes now."""
+        return self.maps[0].trajectory
 
     @property
     def covariances(self) -> Float[np.ndarray, "n 6 6"]:
         """Covariances of these poses: of tangents on the right, translation first, metres and radians."""
-        return self.state.covariances
+        return self.maps[0].covariances
 
     @property
     def keyframe_trajectory(self) -> Trajectory:
-        """Poses of the frames that the map was made from."""
-        views = sorted(view.frame for view in self.state.mapping.views)
-        return self.trajectory[self.state.log.positions(views)]
+        """Poses of the frames that the largest map was made from."""
+        return self.maps[0].keyframe_trajectory
 
     @property
     def gaussians(self) -> Gaussians:
-        """The map."""
-        return self.state.gaussians
+        """The largest map."""
+        return self.maps[0].gaussians
 
     @property
     def refined_share(self) -> float:

@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from sfgs_jax.arrays import InputError, make_folder, remove_unfinished, sync_folder, write_atomically
 from sfgs_jax.geometry import Camera, format_covariances, format_tum
@@ -65,6 +66,8 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
         remove_unfinished(folder, *OUTPUT_FILES, GROUND_TRUTH_FILE)
         for name in (*OUTPUT_FILES, GROUND_TRUTH_FILE):
             (folder / name).unlink(missing_ok=True)
+        for path in _files_of_maps(folder, from_number=2):
+            path.unlink(missing_ok=True)
         # A view of an earlier run would be taken for one of this run.
         _remove_storage(folder / STORAGE)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -144,38 +147,59 @@ def write_run(run: Run, folder: Path) -> None:
         OSError: a file can't be written, for instance because the disk is full; those before it are whole.
     """
     write_trajectories(run, folder)
-    gains = run.state.gains
-    if gains is not None:
-        write_atomically(folder / EXPOSURE_FILE, format_gains(run.trajectory.timestamps, gains))
+    largest, *others = run.maps
+    if largest.gains is not None:
+        gains = format_gains(largest.trajectory.timestamps, largest.gains)
+        write_atomically(folder / EXPOSURE_FILE, gains)
     write_sensors(run.state, folder / SENSOR_FILE)
     write_atomically(folder / "metrics.json", json.dumps(run_metrics(run), indent=2) + "\n")
-    save_ply(folder / "map.ply", run.gaussians)
+    save_ply(folder / "map.ply", largest.gaussians)
+    for number, other in enumerate(others, start=2):
+        save_ply(folder / f"map_{number}.ply", other.gaussians)
 
 
 def write_trajectories(run: Run, folder: Path) -> None:
-    """Write the paths and the covariances; cheap enough to be done again and again during a run."""
-    found = run.trajectory
+    """Write the paths and the covariances; cheap enough to be done again and again during a run.
+
+    The files are of the largest map. The others have a `trajectory_N.txt` each, from N = 2 on.
+    """
+    largest, *others = run.maps
+    found = largest.trajectory
     write_atomically(folder / "trajectory.txt", format_tum(found))
-    write_atomically(folder / COVARIANCE_FILE, format_covariances(found.timestamps, run.covariances))
-    write_atomically(folder / "keyframes.txt", format_tum(run.keyframe_trajectory))
+    write_atomically(folder / COVARIANCE_FILE, format_covariances(found.timestamps, largest.covariances))
+    write_atomically(folder / "keyframes.txt", format_tum(largest.keyframe_trajectory))
+    for number, other in enumerate(others, start=2):
+        write_atomically(folder / f"trajectory_{number}.txt", format_tum(other.trajectory))
+    # Maps that were written at an earlier call may have become one since.
+    for path in _files_of_maps(folder, from_number=len(others) + 2):
+        path.unlink(missing_ok=True)
+
+
+def _files_of_maps(folder: Path, *, from_number: int) -> list[Path]:
+    """Files of the maps from this number on."""
+    found = (*folder.glob("trajectory_[0-9]*.txt"), *folder.glob("map_[0-9]*.ply"))
+    numbers = {path: path.stem.rpartition("_")[2] for path in found}
+    return [path for path, number in numbers.items() if number.isdecimal() and int(number) >= from_number]
 
 
 def run_metrics(run: Run) -> dict[str, object]:
     """Counts, times and memory of a run; the evaluation adds metrics that need ground truth or images."""
     stages = run.stopwatch.summary()
-    gaussians = run.gaussians
-    used = run.state.mapping.num_gaussians
+    maps = run.maps
+    gaussians = maps[0].gaussians
+    used = int(np.asarray(gaussians.valid).sum())
     slots = gaussians.valid.shape[0]
     size = sum(leaf.nbytes for leaf in jax.tree.leaves(gaussians)) // slots * used
     tracking = run.stopwatch.total("tracking")
     state = run.state
-    tracked = len(state.log.timestamps)
+    tracked, all_tracked = len(maps[0].rows), len(state.log.timestamps)
     return {
         "frames": {
             "total": run.num_frames,
             "tracked": tracked,
             "skipped": run.num_skipped,
             "dropped": run.num_dropped,
+            "in_other_maps": all_tracked - tracked,
             "lost": state.num_lost,
             "keyframes": len(state.graph.keyframes),
             "views": len(state.mapping.views),
@@ -189,6 +213,7 @@ def run_metrics(run: Run) -> dict[str, object]:
         "stages": stages,
         "camera": _numbers_of(state.camera),
         "map": {
+            "number": len(maps),
             "gaussians": used,
             "bytes": size,
             "dropped": state.mapping.dropped_seeds,

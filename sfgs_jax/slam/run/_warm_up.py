@@ -98,7 +98,8 @@ def _compile_lost(state: SlamState) -> None:
 def _compile_return(state: SlamState, frame: Frame) -> None:
     """The return to a keyframe from before."""
     graph = state.graph
-    tracker, info, _ = find_frame(state.params, state.tracker, frame, 1.0, graph, state.config.graph)
+    found = find_frame(state.params, state.tracker, frame, 1.0, graph, state.config.graph)
+    tracker, info = found.tracker, found.info
     new, features = reference_at(tracker, tracker.current), graph.keyframes[0].features
     again = register(state.params, new, features, se3.identity())
     needs_keyframe(again, state.config.tracking)

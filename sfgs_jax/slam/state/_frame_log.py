@@ -125,8 +125,9 @@ def covariances_of(
 def _successors(graph: KeyframeGraph) -> dict[int, int]:
     """The earliest keyframe that was tracked in each keyframe."""
     found: dict[int, int] = {}
-    for number, keyframe in enumerate(graph.keyframes[1:], start=1):
-        found.setdefault(keyframe.reference, number)
+    for number, keyframe in enumerate(graph.keyframes):
+        if keyframe.reference != number:
+            found.setdefault(keyframe.reference, number)
     return found
 
 

@@ -23,7 +23,7 @@ class Keyframe:
         features: its surface and keypoints.
         landmarks: (K,) number of the landmark that each keypoint shows, -1 where it shows none.
         frame: number of the frame in its source.
-        reference: number of the keyframe that it was tracked in; its own for the first.
+        reference: number of the keyframe that it was tracked in; its own for the first of a map.
         T_reference_keyframe: (7,) pose that it was tracked at there, as wxyz_xyz.
         offsets: (G,) of the depth correction that the features have, 1/m; none if depth is not corrected.
         twist: (6,) motion per second while it was read, in its camera; zeros if unknown.
@@ -183,7 +183,7 @@ class KeyframeGraph:
     Attributes:
         keyframes: nodes, oldest first.
         poses: (n, 7) their `T_world_cam` as wxyz_xyz, on the host.
-        covariances: (n, 6, 6) of the poses' tangents; the first camera, which is the world frame, has none.
+        covariances: (n, 6, 6) of the poses' tangents, as if the first camera of their map were known.
         edges: registrations that were accepted, in their order.
         noise: of the edges.
         num_absorbed: how many of them the poses hold already.

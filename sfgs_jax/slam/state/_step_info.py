@@ -36,6 +36,7 @@ class StepInfo(NamedTuple):
         source: residuals that it rests on.
         relocalised: whether the frame was found by its looks, after it or those before it had been lost.
         new_keyframe: whether the frame became a keyframe.
+        new_map: whether the frame begins another map, because those before it fit no known place.
         new_view: whether the frame became a view of the map.
         loop_closed: whether a loop was closed in this step.
         inlier_fraction: share of the frame's points that lie on the reference's surface, but for those at its
@@ -52,6 +53,7 @@ class StepInfo(NamedTuple):
     source: PoseSource
     relocalised: bool
     new_keyframe: bool
+    new_map: bool
     new_view: bool
     loop_closed: bool
     inlier_fraction: float
@@ -61,7 +63,7 @@ class StepInfo(NamedTuple):
     loss: float
 
     def __repr__(self) -> str:
-        happened = ("relocalised", "new_keyframe", "new_view", "loop_closed")
+        happened = ("relocalised", "new_keyframe", "new_map", "new_view", "loop_closed")
         return printed_fields(
             "StepInfo",
             tracked=self.tracked,

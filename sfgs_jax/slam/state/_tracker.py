@@ -47,10 +47,13 @@ class Suspicion(eqx.Module):
     Attributes:
         pose: (7,) `T_world_cam` of the newest of them there, as wxyz_xyz.
         frames: frames in a row that were found there; 0 without such a place.
+        unknown: frames since the newest tracked one, and since such a place, that would have been recognised
+            in a known place, and were not.
     """
 
     pose: Float[Array | np.ndarray, "7"]
     frames: Int[Array | np.ndarray, ""]
+    unknown: Int[Array | np.ndarray, ""]
 
 
 class Tracker(eqx.Module):
@@ -177,7 +180,7 @@ def empty_tracker(features: FrameFeatures, registration: Registration, num_refer
             _scalar(0, dtype),
             _scalar(0, dtype),
         ),
-        suspicion=Suspicion(jax.device_put(identity), _scalar(0, np.int32)),
+        suspicion=Suspicion(jax.device_put(identity), _scalar(0, np.int32), _scalar(0, np.int32)),
     )
 
 

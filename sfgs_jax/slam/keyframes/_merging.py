@@ -1,0 +1,83 @@
+"""Two maps become one where loops between them agree."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Int
+
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.frontend import confirms_loop
+from sfgs_jax.slam.frontend._joint_registration import register
+from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_taken
+from sfgs_jax.slam.keyframes._depth_estimate import with_registration
+from sfgs_jax.slam.keyframes._edges import motions_of
+from sfgs_jax.slam.keyframes._loops import agreeing, with_candidate
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
+from sfgs_jax.slam.state._maps import maps_of
+from sfgs_jax.slam.state._tracker import TrackerParams
+
+
+def with_bridge_tried(
+    params: TrackerParams,
+    graph: KeyframeGraph,
+    target: int,
+    source: int,
+    features: tuple[FrameFeatures, FrameFeatures],
+    config: GraphConfig,
+) -> tuple[KeyframeGraph, bool]:
+    """The graph after keyframes of two maps were registered, and whether the maps became one by that.
+
+    Rooms that look alike can't be told apart by where the maps lie to each other, which nobody knows. So more
+    loops have to agree than within one map.
+
+    Args:
+        params: parameters of tracking.
+        graph: before.
+        target: number of the keyframe to register to.
+        source: number of the keyframe to register.
+        features: of both, target and source.
+        config: settings.
+    """
+    found = register(params, features[1], features[0], se3.identity(), guess_known=False)
+    if not confirms_loop(found, config):
+        return graph, False
+    graph, candidate = with_registration(params, graph, target, source, features, found, config, told=False)
+    graph = with_candidate(graph, candidate, config)
+    maps = maps_of(graph)
+    ends = {int(maps[target]), int(maps[source])}
+    between = [c for c in graph.candidates if {int(maps[c.target]), int(maps[c.source])} == ends]
+    bridges = agreeing(graph, between, config)
+    if len(bridges) < config.map_support:
+        return graph, False
+    left = tuple(c for c in graph.candidates if not any(c is used for used in between))
+    return replace(merged(with_adjustment_taken(graph), maps, bridges), candidates=left), True
+
+
+def merged(graph: KeyframeGraph, maps: Int[np.ndarray, " n"], bridges: Sequence[Edge]) -> KeyframeGraph:
+    """The graph with two maps tied by edges; the later map moves to where the first of these puts it.
+
+    Args:
+        graph: before.
+        maps: map of each of its n keyframes.
+        bridges: registrations between the two, at least one.
+    """
+    edge, noise = bridges[0], replace(graph.noise, redundancy=1.0)
+    T_target_source = se3.matrices_of(motions_of([edge], graph.offsets))[0]
+    fixed, moving, motion = edge.target, edge.source, T_target_source
+    if maps[fixed] > maps[moving]:
+        fixed, moving, motion = moving, fixed, np.linalg.inv(T_target_source)
+    rows = np.flatnonzero(maps == maps[moving])
+    T = se3.matrices_of(graph.poses)
+    from_moving = np.linalg.inv(T[moving]) @ T[rows]
+    poses, covariances = graph.poses.copy(), graph.covariances.copy()
+    poses[rows] = se3.parameters_of(T[fixed] @ motion @ from_moving)
+    # Errors of the two maps and of the tie between them add up.
+    tie = np.linalg.inv(noise.share(edge.information[None]))
+    known = se3.composed_covariances(covariances[[fixed]], motion[None], tie) + covariances[moving]
+    known = np.broadcast_to(known, (len(rows), 6, 6))
+    covariances[rows] = se3.composed_covariances(known, from_moving, covariances[rows])
+    edges = tuple(replace(bridge, revisit=True) for bridge in bridges)
+    return replace(graph, poses=poses, covariances=covariances, edges=(*graph.edges, *edges))
