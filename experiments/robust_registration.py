@@ -218,9 +218,7 @@ def errors(robustness: Robustness, pairs: FramePair) -> Float[Array, " n"]:
 
 
 @jax.jit
-def loss_and_slope(
-    robustness: Robustness, pairs: FramePair
-) -> tuple[Float[Array, ""], Robustness]:
+def loss_and_slope(robustness: Robustness, pairs: FramePair) -> tuple[Float[Array, ""], Robustness]:
     """Mean logarithm of the errors of stacked pairs, and its gradient by the robustness."""
 
     def one(pair: FramePair) -> tuple[Array, Robustness]:
