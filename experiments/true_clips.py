@@ -35,17 +35,24 @@ class TrueClip(NamedTuple):
     poses: Float[np.ndarray, "n 4 4"]
 
 
-def opened(name: str, seed: int = 0, width: int = WIDTH) -> datasets.Recording:
+def opened(name: str, seed: int = 0, width: int = WIDTH, *, faults: bool = False) -> datasets.Recording:
     """A synthetic place with the noise of a Kinect, or a real recording.
 
     Args:
         name: of a place in `FRAMES` or of a recording in `SOURCES`.
         seed: of a place.
         width: columns of a place's images.
+        faults: whether a place's camera has the systematic faults of a Kinect too.
     """
     if name in FRAMES:
         return datasets.SyntheticRecording(
-            num_frames=FRAMES[name], width=width, height=width * 3 // 4, seed=seed, noise=True, place=name
+            num_frames=FRAMES[name],
+            width=width,
+            height=width * 3 // 4,
+            seed=seed,
+            noise=True,
+            place=name,
+            faults=datasets.KINECT_V1 if faults else None,
         )
     return datasets.open_recording(SOURCES[name])
 

@@ -1,0 +1,225 @@
+"""Learning through the tracker: description and reliability by the gradient of tracked poses and renderings.
+
+    python -m experiments.learn_through_slam [--seeds 3] [--recordings redkitchen fr1_rpy] [--plot FILE]
+
+SuperFeats' description and reliability are trained further through `slam.track_sequence`, with matches that
+weigh by them. Detection stays as it is. Windows of five frames are tracked by keypoints alone, for surface
+leaves them little to decide. One training follows the error of the poses in synthetic places. The other
+follows the error of the rendered image in the first part of the real recordings, and needs no truth.
+
+Both are judged by the tracked poses of other places of the same kinds, and of the last half of the real
+recordings: by keypoints alone, with the surface, and in the tracker as it is, whose matches weigh alike.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+from matplotlib.figure import Figure
+
+from experiments.matching_tables import print_table
+from experiments.tracked_windows import (
+    TrackedWindow,
+    image_loss,
+    log_errors,
+    pose_loss,
+    tracking,
+    windows_of,
+)
+from sfgs_jax import slam
+from sfgs_jax.superfeats import load_weights
+from sfgs_jax.superfeats.network import Network
+
+TRAINING, OTHERS = ("room", "ring", "twins"), ("wall", "sphere")
+TRAINING_PART, HELD_OUT_PART = (0.0, 0.4), (0.5, 1.0)
+"""Shares of the frames of real recordings."""
+STEPS, RATE, BATCH = 150, 3e-5, 4
+"""Steps of Adam, their first size, and windows in each."""
+LOSSES = {"poses": pose_loss, "images": image_loss}
+TRACKERS = {
+    "keypoints alone": tracking(use_surface=False, learned_weights=True),
+    "with surface": tracking(use_surface=True, learned_weights=True),
+    "equal weights, with surface": tracking(use_surface=True, learned_weights=False),
+}
+
+
+def trained_parts(network: Network) -> Network:
+    """Which arrays are trained, as booleans: all but those of detection."""
+    nothing = jax.tree.map(lambda _: False, network)
+
+    def parts(n: Network) -> tuple:
+        return n.levels, n.fusions, n.describe, n.rely
+
+    return eqx.tree_at(parts, nothing, jax.tree.map(lambda _: True, parts(network)))
+
+
+class Training(NamedTuple):
+    """A network after training, and the mean loss of each step."""
+
+    network: Network
+    losses: list[float]
+
+
+def train(
+    loss: Callable[[slam.TrackerParams, TrackedWindow], Array],
+    windows: list[TrackedWindow],
+    seed: int,
+    config: slam.TrackingConfig = TRACKERS["keypoints alone"],
+    steps: int = STEPS,
+    rate: float = RATE,
+) -> Training:
+    """Train the shipped network on windows.
+
+    Args:
+        loss: of the parameters of tracking and a window.
+        windows: to train on, of one size.
+        seed: of their order.
+        config: of tracking.
+        steps: of Adam.
+        rate: size of its first steps; it falls to 0 along a cosine.
+    """
+    params = slam.tracker_params(windows[0].camera, config)
+    network = load_weights()
+    moving, held = eqx.partition(network, trained_parts(network))
+
+    @eqx.filter_jit
+    def value_and_slope(moving: Network, window: TrackedWindow) -> tuple[Array, Network]:
+        def of(moving: Network) -> Array:
+            return loss(with_network(params, eqx.combine(moving, held)), window)
+
+        value, slope = eqx.filter_value_and_grad(of)(moving)
+        return value, bounded(slope)
+
+    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps))
+    state, rng, losses = optimiser.init(moving), np.random.default_rng(seed), []
+    for _ in range(steps):
+        chosen = rng.choice(len(windows), min(BATCH, len(windows)), replace=False)
+        values, slopes = zip(*(value_and_slope(moving, windows[i]) for i in chosen), strict=True)
+        mean = jax.tree.map(lambda *x: sum(x) / len(x), *slopes)
+        change, state = optimiser.update(mean, state)
+        moving = eqx.apply_updates(moving, change)
+        losses.append(float(np.mean(values)))
+    return Training(eqx.combine(moving, held), losses)
+
+
+def bounded(slope: Network) -> Network:
+    """A window's gradient with a length of at most 1, so that no lost window decides; 0 if not finite."""
+    length = optax.global_norm(slope)
+    scale = jnp.where(jnp.isfinite(length), 1 / jnp.maximum(length, 1), 0)
+    return jax.tree.map(lambda x: jnp.where(jnp.isfinite(length), x * scale, 0), slope)
+
+
+def with_network(params: slam.TrackerParams, network: Network) -> slam.TrackerParams:
+    """Parameters of tracking with another network."""
+    return eqx.tree_at(lambda p: p.network, params, network)
+
+
+_errors = eqx.filter_jit(log_errors)
+
+
+def judged(
+    network: Network, windows: list[TrackedWindow], config: slam.TrackingConfig
+) -> Float[np.ndarray, " n"]:
+    """Mean logarithm of the errors of each window's poses, metres."""
+    params = with_network(slam.tracker_params(windows[0].camera, config), network)
+    return np.asarray([float(jnp.mean(_errors(params, window))) for window in windows])
+
+
+class Held(NamedTuple):
+    """Windows to judge by, a list for each place or recording."""
+
+    windows: dict[str, list[TrackedWindow]]
+
+    def errors(self, network: Network, tracker: str) -> dict[str, np.ndarray]:
+        """Mean logarithms of the errors of each window, by one of `TRACKERS`."""
+        return {name: judged(network, w, TRACKERS[tracker]) for name, w in self.windows.items()}
+
+
+def held_out(recordings: list[str], count: int) -> Held:
+    """Windows of places with other seeds, and of the last half of real recordings."""
+    windows = {name: windows_of(name, 100, count) for name in (*TRAINING, *OTHERS)}
+    for name in recordings:
+        windows[name] = windows_of(name, 100, 2 * count, HELD_OUT_PART)
+    return Held(windows)
+
+
+def change(after: Float[np.ndarray, "seeds n"], before: Float[np.ndarray, " n"]) -> str:
+    """Mean change of windows' errors in per cent; the error counts the spread of windows and of seeds."""
+    off = after - before[None]
+    mean, square = off.mean(), np.var(off.mean(axis=0), ddof=1) / off.shape[1]
+    if len(off) > 1:
+        square += np.var(off.mean(axis=1), ddof=1) / len(off)
+    return f"{100 * np.expm1(mean):+.1f} ± {100 * np.exp(mean) * np.sqrt(square):.1f}"
+
+
+def tables(held: Held, trained: dict[str, list[Training]]) -> None:
+    """Print a table for each tracker: errors before, and their changes by each training."""
+    shipped = load_weights()
+    for tracker in TRACKERS:
+        before = held.errors(shipped, tracker)
+        after = {
+            loss: [held.errors(training.network, tracker) for training in trainings]
+            for loss, trainings in trained.items()
+        }
+        rows = []
+        for name in held.windows:
+            cells = [
+                change(np.stack([found[name] for found in per_seed]), before[name])
+                for per_seed in after.values()
+            ]
+            error = 1e3 * np.exp(before[name].mean())
+            rows.append((name, str(len(before[name])), f"{error:.2f}", *cells))
+        columns = ("", "windows", "before mm", *(f"after, by {loss} %" for loss in after))
+        print_table(f"Error of held-out tracked poses, {tracker}", columns, rows)
+
+
+def plot(trained: dict[str, list[Training]], path: Path) -> None:
+    """Losses over the steps, smoothed, a line a seed."""
+    figure = Figure(figsize=(8, 2.8), layout="constrained")
+    for axes, (name, trainings) in zip(figure.subplots(1, len(trained)), trained.items(), strict=True):
+        for training in trainings:
+            width = min(25, len(training.losses))
+            mean = np.convolve(training.losses, np.full(width, 1 / width), "valid")
+            axes.plot(np.arange(width, width + len(mean)), mean, linewidth=1)
+        axes.set(title=f"training by {name}", xlabel="step", ylabel="mean logarithm of the error")
+    figure.savefig(path)
+
+
+def main() -> None:
+    """Train, print the tables and draw the plot."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--windows", type=int, default=24, help="of each place to train on, and to judge by")
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--recordings", nargs="*", default=["redkitchen", "fr1_rpy"])
+    parser.add_argument("--plot", type=Path, default=Path("learn_through_slam.svg"))
+    arguments = parser.parse_args()
+    trained: dict[str, list[Training]] = {}
+    for seed in range(arguments.seeds):
+        windows = {
+            "poses": [w for name in TRAINING for w in windows_of(name, seed, arguments.windows)],
+            "images": [
+                w
+                for name in arguments.recordings
+                for w in windows_of(name, seed, arguments.windows, TRAINING_PART)
+            ],
+        }
+        for name, those in windows.items():
+            if those:
+                training = train(LOSSES[name], those, seed, steps=arguments.steps)
+                trained.setdefault(name, []).append(training)
+    tables(held_out(arguments.recordings, arguments.windows), trained)
+    plot(trained, arguments.plot)
+
+
+if __name__ == "__main__":
+    main()
