@@ -4,8 +4,8 @@
 
 A furnished room was scanned before. The camera stands somewhere and looks anywhere, and may move by 30 cm
 and 30 degrees before its next view. The covariance that the view would give its pose is predicted from the
-map and descended by gradient over the motion. It is compared with standing still, with random motions of the
-full size, and with the best of many random ones by the same prediction, which takes as long.
+map and descended by gradient over the motion. Its rivals are standing still, random motions of the full size,
+and the best of many random ones by the same prediction. The last takes as long.
 
 Then the views are taken, with the noise of a Kinect, and registered to the true room by keypoints and
 surface. The error of a pose is the root mean square displacement of points 2 m around the camera.
@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
+from experiments.error_cells import percent, with_error
 from experiments.flat_map import flat_gaussians, merged
 from experiments.matching_tables import print_table
 from experiments.view_information import REACH, KnownPlace, displacement, predicted_covariance
@@ -294,25 +295,19 @@ def plot(results: list[Result], path: Path) -> None:
     figure.savefig(path)
 
 
-def with_error(values: Float[np.ndarray, " n"], digits: int = 2) -> str:
-    """Mean and standard error."""
-    error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
-    return f"{np.mean(values):.{digits}f} ± {error:.{digits}f}"
-
-
 def table(results: list[Result]) -> list[tuple[str, ...]]:
     """A row for each strategy, with standard errors over the rooms.
 
-    The last column is the change of the measured error against standing still, by the geometric mean over all
+    The last column compares the measured error with that of standing still. It is the geometric mean over all
     starts, with the standard error over these.
     """
     rows = []
     for i, name in enumerate(STRATEGIES):
         lengths = [1e3 * np.sqrt(r.squares[:, i, :3].mean(axis=0)) for r in results]
         lost = [100 * r.squares[:, i, 3].mean() for r in results]
-        ratios = [np.log(r.squares[:, i, 2] / r.squares[:, 0, 2]) / 2 for r in results]
+        ratios = np.concatenate([np.log(r.squares[:, i, 2] / r.squares[:, 0, 2]) / 2 for r in results])
         cells = [with_error(column) for column in np.transpose(lengths)]
-        rows.append((name, *cells, with_error(np.asarray(lost)), with_error(100 * np.concatenate(ratios), 1)))
+        rows.append((name, *cells, with_error(np.asarray(lost)), percent(ratios)))
     return rows
 
 

@@ -37,7 +37,7 @@ def flat_gaussians(
         x[part].reshape(-1, *x.shape[2:]) for x in (found.points, found.normals, found.valid, rgb)
     )
     normals = np.where(valid[:, None], normals, np.asarray([0.0, 0.0, -1.0]))
-    # As wide as the pixels that it stands for, and longer where the surface is slanted, within reason.
+    # A Gaussian is as wide as its pixels, and longer where the surface is slanted.
     width = 0.6 * stride * np.maximum(points[:, 2], 0.1) / float(camera.fx)
     slant = np.clip(-np.sum(normals * points, axis=1) / np.linalg.norm(points + 1e-6, axis=1), 0.3, 1)
     thickness = np.full_like(width, THICKNESS)

@@ -4,11 +4,12 @@
 
 SuperFeats' description and reliability are trained further through `slam.track_sequence`, with matches that
 weigh by them. Detection stays as it is. Windows of five frames are tracked by keypoints alone, for surface
-leaves them little to decide. One training follows the error of the poses in synthetic places. The other
-follows the error of the rendered image in the first part of the real recordings, and needs no truth.
+leaves them little to decide. The windows come from synthetic places and from the first part of real
+recordings. One training follows the error of their poses. The other follows the error of rendered images and
+needs no truth.
 
-Both are judged by the tracked poses of other places of the same kinds, and of the last half of the real
-recordings: by keypoints alone, with the surface, and in the tracker as it is, whose matches weigh alike.
+Both are judged by the tracked poses of places with other seeds, and of the last half of the real recordings.
+Three trackers find these: by keypoints alone, with the surface, and with matches that weigh alike.
 """
 
 import argparse
@@ -67,8 +68,11 @@ class Training(NamedTuple):
     losses: list[float]
 
 
+Loss = Callable[[slam.TrackerParams, TrackedWindow], Array]
+
+
 def train(
-    loss: Callable[[slam.TrackerParams, TrackedWindow], Array],
+    loss: Loss,
     windows: list[TrackedWindow],
     seed: int,
     config: slam.TrackingConfig = TRACKERS["keypoints alone"],
@@ -86,27 +90,29 @@ def train(
         rate: size of its first steps; it falls to 0 along a cosine.
     """
     params = slam.tracker_params(windows[0].camera, config)
-    network = load_weights()
-    moving, held = eqx.partition(network, trained_parts(network))
-
-    @eqx.filter_jit
-    def value_and_slope(moving: Network, window: TrackedWindow) -> tuple[Array, Network]:
-        def of(moving: Network) -> Array:
-            return loss(with_network(params, eqx.combine(moving, held)), window)
-
-        value, slope = eqx.filter_value_and_grad(of)(moving)
-        return value, bounded(slope)
-
+    moving, held = eqx.partition(params.network, trained_parts(params.network))
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps))
     state, rng, losses = optimiser.init(moving), np.random.default_rng(seed), []
     for _ in range(steps):
         chosen = rng.choice(len(windows), min(BATCH, len(windows)), replace=False)
-        values, slopes = zip(*(value_and_slope(moving, windows[i]) for i in chosen), strict=True)
+        found = [_value_and_slope(loss, moving, held, params, windows[i]) for i in chosen]
+        values, slopes = zip(*found, strict=True)
         mean = jax.tree.map(lambda *x: sum(x) / len(x), *slopes)
         change, state = optimiser.update(mean, state)
         moving = eqx.apply_updates(moving, change)
         losses.append(float(np.mean(values)))
     return Training(eqx.combine(moving, held), losses)
+
+
+@eqx.filter_jit
+def _value_and_slope(
+    loss: Loss, moving: Network, held: Network, params: slam.TrackerParams, window: TrackedWindow
+) -> tuple[Array, Network]:
+    def of(moving: Network) -> Array:
+        return loss(with_network(params, eqx.combine(moving, held)), window)
+
+    value, slope = eqx.filter_value_and_grad(of)(moving)
+    return value, bounded(slope)
 
 
 def bounded(slope: Network) -> Network:
@@ -143,7 +149,7 @@ class Held(NamedTuple):
 
 
 def held_out(recordings: list[str], count: int) -> Held:
-    """Windows of places with other seeds, and of the last half of real recordings."""
+    """Windows of places with other seeds, and twice as many of the last half of real recordings."""
     windows = {name: windows_of(name, 100, count) for name in (*TRAINING, *OTHERS)}
     for name in recordings:
         windows[name] = windows_of(name, 100, 2 * count, HELD_OUT_PART)
@@ -198,26 +204,21 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--windows", type=int, default=24, help="of each place to train on, and to judge by")
+    parser.add_argument("--windows", type=int, default=24, help="to train on, of each place or recording")
+    parser.add_argument("--held-out", type=int, default=48, help="windows to judge by, of each place")
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--recordings", nargs="*", default=["redkitchen", "fr1_rpy"])
     parser.add_argument("--plot", type=Path, default=Path("learn_through_slam.svg"))
     arguments = parser.parse_args()
     trained: dict[str, list[Training]] = {}
     for seed in range(arguments.seeds):
-        windows = {
-            "poses": [w for name in TRAINING for w in windows_of(name, seed, arguments.windows)],
-            "images": [
-                w
-                for name in arguments.recordings
-                for w in windows_of(name, seed, arguments.windows, TRAINING_PART)
-            ],
-        }
-        for name, those in windows.items():
-            if those:
-                training = train(LOSSES[name], those, seed, steps=arguments.steps)
-                trained.setdefault(name, []).append(training)
-    tables(held_out(arguments.recordings, arguments.windows), trained)
+        windows = [w for name in TRAINING for w in windows_of(name, seed, arguments.windows)]
+        for name in arguments.recordings:
+            windows += windows_of(name, seed, arguments.windows, TRAINING_PART)
+        for name, loss in LOSSES.items():
+            training = train(loss, windows, seed, steps=arguments.steps)
+            trained.setdefault(name, []).append(training)
+    tables(held_out(arguments.recordings, arguments.held_out), trained)
     plot(trained, arguments.plot)
 
 

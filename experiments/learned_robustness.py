@@ -4,9 +4,9 @@
 
 Pairs of frames of three synthetic places are registered by keypoints and surface. The camera has the faults
 of a Kinect: rolling shutter, late and distorted depth. The gradient of the error
-descends over four numbers: the widths of both robust kernels, the number of matches that share an error, and
-the deviation of the expected motion. What is found is compared with the numbers that were set by hand. The
-comparison uses other places and real recordings, first in the same registrations, then in the tracker.
+descends over four numbers. They are the widths of both robust kernels, the number of matches that share an
+error, and the deviation of the expected motion. Numbers set by hand are the rival, in other places and in
+real recordings: first in the same registrations, then in the tracker.
 
 Thresholds decide by steps, so their gradient is exactly zero, and the library's settings are static. The
 tracker's threshold of degeneracy is varied instead.
@@ -23,6 +23,7 @@ import optax
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from experiments.error_cells import percent
 from experiments.matching_tables import print_table
 from experiments.robust_registration import (
     NAMES,
@@ -46,7 +47,7 @@ OFF = np.repeat([0.02, 0.02], 3)
 STEPS, RATE, BATCH = 40, 0.05, 24
 """Steps of Adam, their size in logarithms, and pairs in each."""
 FACTORS = (0.25, 0.5, 2.0, 4.0)
-"""By which each number is changed, to see whether it matters."""
+"""Factors on each number, to see whether it matters."""
 KEYPOINTS = 256
 CLIP, SPAN = 60, 10
 """Frames that are tracked, and frames over which the relative error of a pose is taken."""
@@ -163,14 +164,6 @@ def _plain(camera: Camera) -> Camera:
     return Camera(*values, width=camera.width, height=camera.height)
 
 
-def percent(changes: Float[np.ndarray, " n"]) -> str:
-    """Mean change of a logarithm as a change in per cent, with its standard error over the samples."""
-    mean, error = np.mean(changes), np.nan
-    if len(changes) > 1:
-        error = np.std(changes, ddof=1) / np.sqrt(len(changes))
-    return f"{100 * np.expm1(mean):+.1f} ± {100 * np.exp(mean) * error:.1f}"
-
-
 def pair_rows(found: list[Robustness], names: tuple[str, ...], count: int) -> list[tuple[str, ...]]:
     """Errors of held-out pairs by hand and learned; seeds differ from those of the training."""
     rows = []
@@ -249,11 +242,8 @@ def main() -> None:
     print_table("Numbers", ("", *(name.replace("_", " ") for name in NAMES)), rows)
     names = (*TRAINING, *HELD_OUT, *arguments.recordings)
     columns = ("place", "by hand mm", "learned %, over pairs", "learned %, over seeds")
-    print_table(
-        "Error of held-out pairs; places have other seeds",
-        columns,
-        pair_rows(found, names, arguments.held_out),
-    )
+    rows = pair_rows(found, names, arguments.held_out)
+    print_table("Error of held-out pairs; places have other seeds", columns, rows)
     columns = ("number", *(f"x {factor:g} %" for factor in FACTORS))
     pairs = jax.tree.map(lambda *x: jnp.concatenate(x), *every)
     print_table("Error of all training pairs with one number changed", columns, factor_rows(pairs))

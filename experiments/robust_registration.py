@@ -2,8 +2,8 @@
 
 The library's settings are static. Here the same residuals make a factor graph, whose kernel widths and noise
 are arrays, and `factor_graph.solve_implicit` differentiates its optimum. Keypoints have reprojection errors
-under a Geman-McClure kernel, surface has distances along normals under a Huber kernel, and the motion as it
-was expected is a prior. Correspondences of the surface are found anew in rounds, and matches once.
+under a Geman-McClure kernel. Surface has distances along normals under a Huber kernel. The motion as it was
+expected is a prior. Correspondences of the surface are found anew in rounds, and matches once.
 """
 
 from dataclasses import fields

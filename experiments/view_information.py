@@ -1,8 +1,8 @@
-"""How well a view would fix the camera's pose, predicted from a map before the view is taken.
+"""The covariance that a view would give the camera's pose, predicted from a map before the view is taken.
 
-The map is rendered at the pose. Instead of colours the Gaussians have the information that a pixel of their
-surface gives about the pose, and the sum over the image is the surface's. The sum is smooth in the pose, for
-a Gaussian enters and leaves the image by and by. Landmarks add the information of a pixel and an inverse
+The map is rendered at the pose. Instead of a colour each Gaussian has the information about the pose that a
+pixel of its surface gives. The sum over the image is the surface's. It is smooth in the pose, for a Gaussian
+enters and leaves the image by and by. Landmarks add the information of a pixel and an inverse
 depth. The covariance of the pose follows from a factor graph. All of it is differentiable by the pose.
 """
 

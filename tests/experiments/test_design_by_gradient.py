@@ -1,4 +1,4 @@
-"""Design by gradient in miniature: the prediction has the slope of finite differences, and the descent descends."""
+"""Design by gradient in miniature: the prediction has the slope of finite differences, and it descends."""
 
 import jax
 import jax.numpy as jnp
