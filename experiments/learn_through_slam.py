@@ -25,6 +25,7 @@ import optax
 from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
+from experiments.error_cells import standard_error
 from experiments.matching_tables import print_table
 from experiments.tracked_windows import (
     TrackedWindow,
@@ -43,6 +44,8 @@ TRAINING_PART, HELD_OUT_PART = (0.0, 0.4), (0.5, 1.0)
 """Shares of the frames of real recordings."""
 STEPS, RATE, BATCH = 150, 3e-5, 4
 """Steps of Adam, their first size, and windows in each."""
+BLOCKS = 12
+"""Blocks of time that the windows of a recording are counted as."""
 LOSSES = {"poses": pose_loss, "images": image_loss}
 TRACKERS = {
     "keypoints alone": tracking(use_surface=False, learned_weights=True),
@@ -157,12 +160,17 @@ def held_out(recordings: list[str], count: int) -> Held:
 
 
 def change(after: Float[np.ndarray, "seeds n"], before: Float[np.ndarray, " n"]) -> str:
-    """Mean change of windows' errors in per cent; the error counts the spread of windows and of seeds."""
+    """Mean change of windows' errors in per cent, and its standard error.
+
+    Neighbouring windows share frames. So the spread is that of the means of `BLOCKS` blocks of time, and of the
+    means of the seeds, both.
+    """
     off = after - before[None]
-    mean, square = off.mean(), np.var(off.mean(axis=0), ddof=1) / off.shape[1]
+    blocks = np.asarray([block.mean() for block in np.array_split(off.mean(axis=0), BLOCKS)])
+    square = standard_error(blocks) ** 2
     if len(off) > 1:
-        square += np.var(off.mean(axis=1), ddof=1) / len(off)
-    return f"{100 * np.expm1(mean):+.1f} ± {100 * np.exp(mean) * np.sqrt(square):.1f}"
+        square += standard_error(off.mean(axis=1)) ** 2
+    return f"{100 * np.expm1(off.mean()):+.1f} ± {100 * np.exp(off.mean()) * np.sqrt(square):.1f}"
 
 
 def tables(held: Held, trained: dict[str, list[Training]]) -> None:

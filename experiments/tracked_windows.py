@@ -74,7 +74,7 @@ def window_of(clip: TrueClip) -> TrackedWindow:
 def windows_of(
     name: str, seed: int, count: int, part: tuple[float, float] = (0, 1), width: int = WIDTH
 ) -> list[TrackedWindow]:
-    """Windows at random times of a place or a recording.
+    """Windows at random times of a place or a recording, in order of time.
 
     Args:
         name: of it.
@@ -86,10 +86,10 @@ def windows_of(
     recording, rng = opened(name, seed, width), np.random.default_rng(seed)
     numbers = with_truth(recording)
     first, last = (round(share * len(numbers)) for share in part)
+    starts = np.sort(rng.integers(first, last - max(STRIDES) * (FRAMES - 1), count))
     windows = []
-    for index in range(count):
+    for index, start in enumerate(starts.tolist()):
         stride = STRIDES[index % len(STRIDES)]
-        start = int(rng.integers(first, last - stride * (FRAMES - 1)))
         chosen = numbers[start : start + stride * FRAMES : stride][:FRAMES]
         windows.append(window_of(true_clip(recording, chosen, width)))
     return windows

@@ -54,7 +54,10 @@ def test_a_gradient_that_is_not_finite_counts_as_none():
     assert not any(bool(jnp.any(x)) for x in jax.tree.leaves(bounded(broken)))
 
 
-def test_the_error_of_a_change_counts_windows_and_seeds():
-    before = np.zeros(4)
-    after = np.log(0.9) + np.asarray([[0.1, -0.1, 0.1, -0.1], [0.1, -0.1, 0.1, -0.1]])
-    assert change(after, before).startswith("-10.0 ± 5.2")
+def test_the_error_of_a_change_counts_blocks_of_time_and_seeds():
+    before, spread = np.zeros(24), np.repeat([0.1, -0.1] * 6, 2)
+    after = np.log(0.9) + np.stack([spread, spread])
+    # Twelve blocks of two equal windows.
+    assert change(after, before) == f"-10.0 ± {90 * 0.1 / np.sqrt(11):.1f}"
+    apart = after + np.asarray([[0.2], [-0.2]])
+    assert change(apart, before) == f"-10.0 ± {90 * np.hypot(0.1 / np.sqrt(11), 0.2):.1f}"
