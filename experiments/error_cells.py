@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 
 def standard_error(values: Float[np.ndarray, " n"]) -> float:
-    """Of the mean of independent samples; not a number for a single one."""
+    """Standard error of the mean of independent samples; not a number for a single one."""
     return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("nan")
 
 

@@ -9,7 +9,7 @@ recordings. One training follows the error of their poses. The other follows the
 needs no truth.
 
 Both are judged by the tracked poses of places with other seeds, and of the last half of the real recordings.
-Three trackers find these: by keypoints alone, with the surface, and with matches that weigh alike.
+These are found by keypoints alone and with the surface, with matches that weigh by the network and alike.
 """
 
 import argparse
@@ -50,7 +50,8 @@ LOSSES = {"poses": pose_loss, "images": image_loss}
 TRACKERS = {
     "keypoints alone": tracking(use_surface=False, learned_weights=True),
     "with surface": tracking(use_surface=True, learned_weights=True),
-    "equal weights, with surface": tracking(use_surface=True, learned_weights=False),
+    "keypoints alone, equal weights": tracking(use_surface=False, learned_weights=False),
+    "with surface, equal weights": tracking(use_surface=True, learned_weights=False),
 }
 
 
@@ -120,7 +121,7 @@ def _value_and_slope(
 
 def bounded(slope: Network) -> Network:
     """A window's gradient with a length of at most 1, so that no lost window decides; 0 if not finite."""
-    length = optax.global_norm(slope)
+    length = jnp.sqrt(sum(jnp.sum(x**2) for x in jax.tree.leaves(slope)))
     scale = jnp.where(jnp.isfinite(length), 1 / jnp.maximum(length, 1), 0)
     return jax.tree.map(lambda x: jnp.where(jnp.isfinite(length), x * scale, 0), slope)
 
@@ -162,8 +163,8 @@ def held_out(recordings: list[str], count: int) -> Held:
 def change(after: Float[np.ndarray, "seeds n"], before: Float[np.ndarray, " n"]) -> str:
     """Mean change of windows' errors in per cent, and its standard error.
 
-    Neighbouring windows share frames. So the spread is that of the means of `BLOCKS` blocks of time, and of the
-    means of the seeds, both.
+    Neighbouring windows share frames. So the error counts the spread between `BLOCKS` blocks of time, and
+    that between the seeds.
     """
     off = after - before[None]
     blocks = np.asarray([block.mean() for block in np.array_split(off.mean(axis=0), BLOCKS)])

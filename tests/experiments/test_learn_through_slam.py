@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.learn_through_slam import bounded, change, judged, train, trained_parts
+from experiments.learn_through_slam import bounded, change, train, trained_parts
 from experiments.tracked_windows import image_loss, pose_loss, tracking, windows_of
 from sfgs_jax.superfeats import load_weights
 
@@ -30,7 +30,6 @@ def test_training_by_poses_lowers_their_error_and_leaves_detection(windows):
     shipped = load_weights()
     network, losses = train(pose_loss, windows, seed=0, config=CONFIG, steps=12, rate=1e-4)
     assert min(losses[6:]) < losses[0] - 0.02
-    assert np.all(np.isfinite(judged(network, windows, CONFIG)))
     moved = jax.tree.map(lambda a, b: bool(jnp.any(a != b)), network, shipped)
     parts = trained_parts(shipped)
     assert all((moved.describe.weight, moved.rely.weight, moved.levels[0].reduce.weight))
