@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
-from experiments.error_cells import percent, with_error
+from experiments.error_cells import percent, standard_error, with_error
 from experiments.flat_map import flat_gaussians, merged
 from experiments.matching_tables import print_table
 from experiments.view_information import REACH, KnownPlace, displacement, predicted_covariance
@@ -280,18 +280,29 @@ def _mean_squares(told: float, outcomes: list[Outcome]) -> Float[np.ndarray, "4"
     return np.asarray([told**2, *(np.mean(np.square(e)) for e in errors), lost])
 
 
+def changes(results: list[Result], strategy: int) -> Float[np.ndarray, " n"]:
+    """Logarithms of each start's measured error, as a share of that of standing still there."""
+    return np.concatenate([np.log(r.squares[:, strategy, 2] / r.squares[:, 0, 2]) / 2 for r in results])
+
+
 def plot(results: list[Result], path: Path) -> None:
-    """Expected error over the descent, and measured errors of the strategies, a dot a room."""
+    """Expected error over the descent, a line a start and a room; measured changes, a dot a start."""
     figure = Figure(figsize=(8, 3), layout="constrained")
     left, right = figure.subplots(1, 2)
     for result in results:
-        left.plot(1e3 * result.courses.T, color="#94a3b8", linewidth=0.7)
+        left.plot(1e3 * result.courses.T, color="#94a3b8", linewidth=0.5)
         left.plot(1e3 * result.courses.mean(axis=0), linewidth=2)
-        errors = 1e3 * np.sqrt(result.squares[:, :, 2].mean(axis=0))
-        right.plot(range(len(STRATEGIES)), errors, "o")
-    left.set(xlabel="step", ylabel="expected error, mm", yscale="log")
-    right.set(xticks=range(len(STRATEGIES)), ylabel="measured error, mm", ylim=(0, None))
-    right.set_xticklabels([name.replace(" ", "\n") for name in STRATEGIES])
+    left.set(xlabel="step", ylabel="expected error, mm", ylim=(0, None))
+    for place, name in enumerate(STRATEGIES[1:]):
+        values = changes(results, place + 1)
+        spots = place + np.linspace(-0.2, 0.2, len(values))
+        right.plot(spots, 100 * np.expm1(values), ".", color="#94a3b8", markersize=4)
+        right.errorbar(
+            place, 100 * np.expm1(values.mean()), 100 * standard_error(values), fmt="o", label=name
+        )
+    right.axhline(0, color="grey", linestyle=":", linewidth=1)
+    right.set(xticks=range(len(STRATEGIES) - 1), ylabel="measured error against standing still, %")
+    right.set_xticklabels(STRATEGIES[1:])
     figure.savefig(path)
 
 
@@ -305,9 +316,8 @@ def table(results: list[Result]) -> list[tuple[str, ...]]:
     for i, name in enumerate(STRATEGIES):
         lengths = [1e3 * np.sqrt(r.squares[:, i, :3].mean(axis=0)) for r in results]
         lost = [100 * r.squares[:, i, 3].mean() for r in results]
-        ratios = np.concatenate([np.log(r.squares[:, i, 2] / r.squares[:, 0, 2]) / 2 for r in results])
         cells = [with_error(column) for column in np.transpose(lengths)]
-        rows.append((name, *cells, with_error(np.asarray(lost)), percent(ratios)))
+        rows.append((name, *cells, with_error(np.asarray(lost)), percent(changes(results, i))))
     return rows
 
 
