@@ -293,15 +293,14 @@ def plot(results: list[Result], path: Path) -> None:
         left.plot(1e3 * result.courses.T, color="#94a3b8", linewidth=0.5)
         left.plot(1e3 * result.courses.mean(axis=0), linewidth=2)
     left.set(xlabel="step", ylabel="expected error, mm", ylim=(0, None))
-    for place, name in enumerate(STRATEGIES[1:]):
+    for place in range(len(STRATEGIES) - 1):
         values = changes(results, place + 1)
         spots = place + np.linspace(-0.2, 0.2, len(values))
         right.plot(spots, 100 * np.expm1(values), ".", color="#94a3b8", markersize=4)
-        right.errorbar(
-            place, 100 * np.expm1(values.mean()), 100 * standard_error(values), fmt="o", label=name
-        )
+        mean, error = np.expm1(values.mean()), standard_error(values)
+        right.errorbar(place, 100 * mean, 100 * error, fmt="o")
     right.axhline(0, color="grey", linestyle=":", linewidth=1)
-    right.set(xticks=range(len(STRATEGIES) - 1), ylabel="measured error against standing still, %")
+    right.set(xticks=range(len(STRATEGIES) - 1), ylabel="change of the measured error, %")
     right.set_xticklabels(STRATEGIES[1:])
     figure.savefig(path)
 

@@ -3,10 +3,10 @@
     python -m experiments.learned_robustness [--seeds 3] [--recordings redkitchen fr1_rpy] [--plot FILE]
 
 Pairs of frames of three synthetic places are registered by keypoints and surface. The camera has the faults
-of a Kinect: rolling shutter, late and distorted depth. The gradient of the error
-descends over four numbers. They are the widths of both robust kernels, the number of matches that share an
-error, and the deviation of the expected motion. Numbers set by hand are the rival, in other places and in
-real recordings: first in the same registrations, then in the tracker.
+of a Kinect: rolling shutter, late and distorted depth. The gradient of the error descends over four numbers.
+They are the widths of both robust kernels, the number of matches that share an error, and the deviation of
+the expected motion. Numbers set by hand are the rival, in other places and in real recordings: first in the
+same registrations, then in the tracker.
 
 Thresholds decide by steps, so their gradient is exactly zero, and the library's settings are static. The
 tracker's threshold of degeneracy is varied instead.
@@ -37,7 +37,7 @@ from experiments.robust_registration import (
 )
 from experiments.true_clips import TrueClip, opened, true_clip, with_truth
 from sfgs_jax import slam
-from sfgs_jax.geometry import Camera, Frame, se3
+from sfgs_jax.geometry import Frame, se3
 
 TRAINING, HELD_OUT = ("room", "twins", "sphere"), ("ring", "wall", "building")
 GAPS = (3, 6, 12, 20)
@@ -148,7 +148,8 @@ def tracked_clip(name: str, seed: int) -> TrueClip:
 
 def tracked_log_errors(clip: TrueClip, config: slam.TrackingConfig) -> Float[np.ndarray, " n"]:
     """Logarithms of the relative errors over `SPAN` frames of a tracked clip, in millimetres, as of pairs."""
-    params = slam.tracker_params(_plain(clip.camera), config)
+    # Numbers as arrays: one program serves recordings of one size.
+    params = slam.tracker_params(jax.tree.map(jnp.float32, clip.camera), config)
     tracker = slam.init_tracker(params)
     _, found = slam.track_sequence(params, tracker, clip.rgb, clip.depth, clip.elapsed)
     poses = se3.to_matrices(found.T_world_cam)
@@ -156,12 +157,6 @@ def tracked_log_errors(clip: TrueClip, config: slam.TrackingConfig) -> Float[np.
     off = se3.logs_of(np.linalg.inv(true) @ moved)
     squares = np.sum(off[:, :3] ** 2, axis=1) + 2 / 3 * REACH**2 * np.sum(off[:, 3:] ** 2, axis=1)
     return np.log(1e3 * np.sqrt(squares) + 1e-3)
-
-
-def _plain(camera: Camera) -> Camera:
-    """The camera with numbers as float32 arrays: one program serves recordings of one size."""
-    values = (jnp.float32(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
-    return Camera(*values, width=camera.width, height=camera.height)
 
 
 def pair_rows(found: list[Robustness], names: tuple[str, ...], count: int) -> list[tuple[str, ...]]:
