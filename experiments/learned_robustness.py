@@ -9,7 +9,7 @@ the expected motion. Numbers set by hand are the rival, in other places and in r
 same registrations, then in the tracker.
 
 Thresholds decide by steps, so their gradient is exactly zero, and the library's settings are static. The
-tracker's threshold of degeneracy is varied instead.
+tracker's threshold of degeneracy is varied instead, and the kernel of the surface is left out.
 """
 
 import argparse
@@ -175,10 +175,14 @@ def pair_rows(found: list[Robustness], names: tuple[str, ...], count: int) -> li
 
 
 def track_rows(found: list[Robustness], names: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Errors in the tracker by hand and learned, and with other thresholds of degeneracy."""
+    """Errors in the tracker by hand, learned, without a kernel, and with other thresholds of degeneracy."""
     hand = config_of(by_hand())
+    others = [
+        replace(hand, gicp=replace(hand.gicp, kernel="none")),
+        *(config_of(by_hand(), factor) for factor in (0.1, 10.0)),
+    ]
     variants = [[config_of(robustness) for robustness in found]]
-    variants += [[config_of(by_hand(), factor)] * len(found) for factor in (0.1, 10.0)]
+    variants += [[other] * len(found) for other in others]
     rows = []
     for name in names:
         clips = [tracked_clip(name, 100 + seed) for seed in range(len(found))]
@@ -242,7 +246,14 @@ def main() -> None:
     columns = ("number", *(f"x {factor:g} %" for factor in FACTORS))
     pairs = jax.tree.map(lambda *x: jnp.concatenate(x), *every)
     print_table("Error of all training pairs with one number changed", columns, factor_rows(pairs))
-    columns = ("place", "by hand mm", "learned %", "min_observability / 10 %", "x 10 %")
+    columns = (
+        "place",
+        "by hand mm",
+        "learned %",
+        "no surface kernel %",
+        "min_observability / 10 %",
+        "x 10 %",
+    )
     print_table(f"Relative error over {SPAN} tracked frames, over seeds", columns, track_rows(found, names))
 
 
