@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments.held_out import HeldOut
+from sfgs_jax import slam
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import Recording, prefetch
 from sfgs_jax.evaluation import ate, rpe
@@ -97,7 +98,8 @@ def tracked_poses(recording: Recording, config: SlamConfig) -> tuple[Float[np.nd
             tracked += [index] if info.tracked else []
     state = finish(state)
     poses = np.full((len(recording), 4, 4), np.nan)
-    poses[tracked] = state.trajectory.poses
+    largest = slam.Run(state).maps[0]
+    poses[np.asarray(tracked, int)[largest.rows]] = largest.trajectory.poses
     return poses, state
 
 

@@ -94,6 +94,7 @@ def train(
         rate: size of its first steps; it falls to 0 along a cosine.
     """
     params = slam.tracker_params(windows[0].camera, config)
+    assert params.network is not None
     moving, held = eqx.partition(params.network, trained_parts(params.network))
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps))
     state, rng, losses = optimiser.init(moving), np.random.default_rng(seed), []

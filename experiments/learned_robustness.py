@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
@@ -90,17 +91,18 @@ def learned(pairs: FramePair, seed: int, steps: int = STEPS, batch: int = BATCH)
         steps: of Adam.
         batch: pairs in each.
     """
-    robustness, rng = by_hand(), np.random.default_rng(seed)
-    path, optimiser = [robustness], optax.adam(optax.cosine_decay_schedule(RATE, steps))
-    state = optimiser.init(robustness)
+    path, rng = [by_hand()], np.random.default_rng(seed)
+    values, robustness_of = ravel_pytree(by_hand())
+    optimiser = optax.adam(optax.cosine_decay_schedule(RATE, steps))
+    state = optimiser.init(values)
     for _ in range(steps):
         chosen = rng.choice(len(pairs.guess), batch, replace=False)
-        _, slope = loss_and_slope(robustness, jax.tree.map(lambda x, i=chosen: x[i], pairs))
+        _, slope = loss_and_slope(path[-1], jax.tree.map(lambda x, i=chosen: x[i], pairs))
         # A registration whose problem is singular has no slope.
-        slope = jax.tree.map(lambda s: jnp.clip(jnp.nan_to_num(s), -1, 1), slope)
+        slope = jnp.clip(jnp.nan_to_num(ravel_pytree(slope)[0]), -1, 1)
         change, state = optimiser.update(slope, state)
-        robustness = optax.apply_updates(robustness, change)
-        path.append(robustness)
+        values = jnp.add(values, jnp.asarray(change))
+        path.append(robustness_of(values))
     return path
 
 

@@ -30,7 +30,7 @@ from experiments.robustness_scores import Scores, scores
 from experiments.starts import InMemory
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
-from sfgs_jax.slam import PRESETS, SlamConfig, finish, follow, init
+from sfgs_jax.slam import PRESETS, Run, SlamConfig, finish, follow, init
 
 RECORDINGS = {
     "room": "synthetic:frames=240,noise=1",
@@ -56,6 +56,8 @@ def poses_of(
 ) -> tuple[Float[np.ndarray, "n 4 4"], Float[np.ndarray, "n 4 4"]]:
     """Track a recording: each frame's pose as it was given, and at the end; NaN for lost frames.
 
+    Frames of a map of their own count as lost, for nothing says where it lies to the largest.
+
     Args:
         recording: any.
         config: settings.
@@ -69,10 +71,13 @@ def poses_of(
             # Such as a time stamp before the last one: the run goes on without the frame.
             continue
         if info.tracked:
-            live[number] = np.asarray(info.T_world_cam.as_matrix())
             tracked.append(number)
-    if tracked:
-        final[tracked] = finish(state).trajectory.poses
+            if Run(state).maps[0].rows[-1] == len(tracked) - 1:
+                live[number] = np.asarray(info.T_world_cam.as_matrix())
+    if not tracked:
+        return live, final
+    largest = Run(finish(state)).maps[0]
+    final[np.asarray(tracked, int)[largest.rows]] = largest.trajectory.poses
     return live, final
 
 

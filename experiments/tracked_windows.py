@@ -65,10 +65,11 @@ def window_of(clip: TrueClip) -> TrackedWindow:
     """A clip as a window."""
     inverse = np.linalg.inv(clip.poses[0])
     poses = se3.parameters_of(inverse @ clip.poses).astype(np.float32)
-    arrays = (jnp.asarray(x) for x in (clip.rgb, clip.depth, clip.elapsed, poses))
     # Numbers as arrays: one program serves recordings of one size.
     camera = jax.tree.map(jnp.float32, clip.camera)
-    return TrackedWindow(camera, *arrays, flat_gaussians(clip.rgb[0], clip.depth[0], clip.camera, np.eye(4)))
+    scene = flat_gaussians(clip.rgb[0], clip.depth[0], clip.camera, np.eye(4))
+    rgb, depth, elapsed = jnp.asarray(clip.rgb), jnp.asarray(clip.depth), jnp.asarray(clip.elapsed)
+    return TrackedWindow(camera, rgb, depth, elapsed, jnp.asarray(poses), scene)
 
 
 def windows_of(

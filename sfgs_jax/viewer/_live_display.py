@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from sfgs_jax.geometry import Frame, Trajectory, se3
-from sfgs_jax.slam import SlamState
+from sfgs_jax.slam import Run, SlamState
 from sfgs_jax.viewer._live_comparison import compare
 from sfgs_jax.viewer._live_page import BEHIND, FREE, THROUGH, LivePage
 from sfgs_jax.viewer._live_plots import History
@@ -98,7 +98,9 @@ class LiveDisplay:
         trajectory, covariances = state.trajectory, state.covariances
         if not len(trajectory):
             return
-        beside = None if self._truth is None else truth_beside(trajectory, self._truth)
+        # Nothing tells where other maps lie to the truth of this one.
+        known = Run(state).maps[0].rows
+        beside = None if self._truth is None else truth_beside(trajectory[known], self._truth)
         self._scene.show(
             state,
             trajectory,
@@ -112,7 +114,7 @@ class LiveDisplay:
             self._history.steps.append(snapshot.steps)
             self._history.psnr.append(compared.psnr)
         bounds = position_bounds(covariances)
-        rows = np.zeros(0, int) if beside is None else beside.rows
+        rows = np.zeros(0, int) if beside is None else known[beside.rows]
         errors = np.zeros(0) if beside is None else beside.errors_m
         self._page.plots.show(self._history, state.log.numbers[rows], errors, bounds[rows])
         self._page.tell_facts(self._facts(state, beside, float(bounds[-1])))
