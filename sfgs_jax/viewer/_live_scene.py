@@ -9,6 +9,7 @@ from jaxtyping import Float, UInt8
 
 from sfgs_jax.geometry import Camera, Trajectory, quaternions_from_rotations, se3
 from sfgs_jax.slam import SlamState, View
+from sfgs_jax.slam.state import maps_of
 from sfgs_jax.splatting import Gaussians
 from sfgs_jax.viewer._splats import splats_of
 from sfgs_jax.viewer._viewpoints import place_behind, vertical_field_of_view
@@ -74,7 +75,7 @@ class LiveScene:
         """
         self._show_map(state.gaussians, most_gaussians)
         with self._server.atomic():
-            self._show_path(trajectory)
+            self._show_path(state, trajectory)
             if truth is not None:
                 self._lines("Ground truth", _consecutive(truth.positions), _TRUTH_COLOUR)
             self._show_uncertainty(trajectory, covariances)
@@ -123,8 +124,11 @@ class LiveScene:
         elif len(splats.centres):
             self.splats = self._server.scene.add_gaussian_splats(_node("Map", "splats"), *arrays)
 
-    def _show_path(self, trajectory: Trajectory) -> None:
-        self._lines("Path", _consecutive(trajectory.positions), _PATH_COLOUR, thickness=3.0)
+    def _show_path(self, state: SlamState, trajectory: Trajectory) -> None:
+        """The path, with no line from one map to another."""
+        maps = maps_of(state.graph)[state.log.keyframes]
+        lines = _consecutive(trajectory.positions)[np.diff(maps) == 0]
+        self._lines("Path", lines, _PATH_COLOUR, thickness=3.0)
 
     def _show_uncertainty(self, trajectory: Trajectory, covariances: Float[np.ndarray, "n 6 6"]) -> None:
         """Ellipsoids of three standard deviations around places spread over the path."""

@@ -77,22 +77,25 @@ def accept_consistent_loops(graph: KeyframeGraph, config: GraphConfig) -> tuple[
     """
     maps = maps_of(graph)
     candidates = [c for c in graph.candidates if maps[c.target] == maps[c.source]]
-    closed = agreeing(graph, candidates, config)
-    if len(closed) < config.loop_support:
+    closed = agreeing(graph, candidates, config, least=config.loop_support)
+    if not closed:
         return graph, False
     others = tuple(c for c in graph.candidates if maps[c.target] != maps[c.source])
     return replace(graph, edges=(*graph.edges, *closed), candidates=others), True
 
 
-def agreeing(graph: KeyframeGraph, candidates: Sequence[Edge], config: GraphConfig) -> tuple[Edge, ...]:
-    """The candidates that agree with each other, as loops.
+def agreeing(
+    graph: KeyframeGraph, candidates: Sequence[Edge], config: GraphConfig, *, least: int
+) -> tuple[Edge, ...]:
+    """The candidates that agree with each other, as loops; none where there are too few.
 
     Args:
         graph: with their keyframes.
         candidates: at most `max_loop_candidates`.
         config: settings.
+        least: number that has to agree.
     """
-    if not candidates:
+    if len(candidates) < least:
         return ()
     poses = padded_poses(graph.poses, pose_capacity(graph, config))
     # Each is judged by its own deviations.
@@ -101,4 +104,6 @@ def agreeing(graph: KeyframeGraph, candidates: Sequence[Edge], config: GraphConf
         relative_poses(candidates, config.max_loop_candidates, noise=noise, offsets=graph.offsets),
         Values(jaxlie.SE3(poses)),
     )
+    if agreed.sum() < least:
+        return ()
     return tuple(replace(edge, loop=True) for edge, good in zip(candidates, agreed, strict=False) if good)

@@ -49,8 +49,8 @@ def with_bridge_tried(
     maps = maps_of(graph)
     ends = {int(maps[target]), int(maps[source])}
     between = [c for c in graph.candidates if {int(maps[c.target]), int(maps[c.source])} == ends]
-    bridges = agreeing(graph, between, config)
-    if len(bridges) < config.map_support:
+    bridges = agreeing(graph, between, config, least=config.map_support)
+    if not bridges:
         return graph, False
     left = tuple(c for c in graph.candidates if not any(c is used for used in between))
     return replace(merged(with_adjustment_taken(graph), maps, bridges), candidates=left), True

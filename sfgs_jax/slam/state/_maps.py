@@ -21,6 +21,8 @@ def maps_of(graph: KeyframeGraph) -> Int[np.ndarray, " n"]:
     """
     count = len(graph.keyframes)
     tied = [(number, keyframe.reference) for number, keyframe in enumerate(graph.keyframes)]
+    if sum(number == reference for number, reference in tied) < 2:
+        return np.zeros(count, int)  # most runs, of any length
     tied += [(edge.target, edge.source) for edge in graph.edges]
     a, b = np.asarray(tied, int).reshape(-1, 2).T
     ties = coo_array((np.ones(len(a)), (a, b)), shape=(count, count))
