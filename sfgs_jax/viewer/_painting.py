@@ -97,22 +97,8 @@ class Painter:
         background: Float[np.ndarray, "3"],
     ) -> UInt8[np.ndarray, "H W 3"]:
         """The same as an image of bytes; depth in Turbo colours, red near and blue far."""
-        return self.paint_with_output(T_world_cam, camera, look, background=background)[0]
-
-    def paint_with_output(
-        self,
-        T_world_cam: Float[np.ndarray, "4 4"],
-        camera: Camera,
-        look: Look,
-        *,
-        background: Float[np.ndarray, "3"],
-    ) -> tuple[UInt8[np.ndarray, "H W 3"], RenderOutput]:
-        """The image of `paint`, and the renderer's output that it was made of, on the host."""
         output = jax.device_get(self.render(T_world_cam, camera, look, background=background))
-        if look.mode == "depth":
-            depth = np.where(output.alpha > OPAQUE, output.depth, 0)
-            return depth_picture(depth, background=background), output
-        return bytes_of(output.rgb), output
+        return picture_of(output, look, background=background)
 
     def _prepared(self, look: Look) -> tuple[Gaussians, Array | None]:
         """Gaussians and colours of a look; None are the map's own."""
@@ -145,6 +131,21 @@ class Painter:
         colours = np.zeros((len(used), 3), np.float32)
         colours[used] = found
         return jnp.asarray(colours)
+
+
+def picture_of(
+    output: RenderOutput, look: Look, *, background: Float[np.ndarray, "3"]
+) -> UInt8[np.ndarray, "H W 3"]:
+    """What a look shows of a rendering.
+
+    Args:
+        output: from `Painter.render`, on the host.
+        look: that it was rendered with.
+        background: RGB in [0, 1] behind the map.
+    """
+    if look.mode == "depth":
+        return depth_picture(np.where(output.alpha > OPAQUE, output.depth, 0), background=background)
+    return bytes_of(np.asarray(output.rgb))
 
 
 def bytes_of(rgb: Float[np.ndarray, "*n 3"]) -> UInt8[np.ndarray, "*n 3"]:

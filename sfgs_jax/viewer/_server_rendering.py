@@ -1,7 +1,9 @@
 """Images of the map for browsers that have no graphics card to draw it."""
 
+from functools import cached_property
 from typing import Literal, get_args
 
+import jax
 import numpy as np
 import viser
 from jaxtyping import Float
@@ -10,7 +12,7 @@ from sfgs_jax.geometry import Camera
 from sfgs_jax.viewer._cameras import pose_of
 from sfgs_jax.viewer._latest import Latest
 from sfgs_jax.viewer._modes import Look
-from sfgs_jax.viewer._painting import OPAQUE, Painter
+from sfgs_jax.viewer._painting import OPAQUE, Painter, picture_of
 
 Drawer = Literal["browser", "library"]
 """Who draws the map: the browser that was sent the Gaussians, or the library that sends images."""
@@ -46,7 +48,7 @@ class ServerRendering:
 
     def __init__(self, server: viser.ViserServer, painter: Painter) -> None:
         self._server = server
-        self._resting, self._moving = painter, painter.sampled(MOVING_GAUSSIANS)
+        self._resting = painter
         self._shown: tuple[Look, Float[np.ndarray, "3"]] | None = None
         # A good image may take a second, and the first one has to compile: quick ones don't wait for it.
         self._quick, self._good = Latest("quick images"), Latest("good images")
@@ -73,6 +75,11 @@ class ServerRendering:
         self._quick.close()
         self._good.close()
 
+    @cached_property
+    def _moving(self) -> Painter:
+        """Made when it is first needed: most pages never ask for it."""
+        return self._resting.sampled(MOVING_GAUSSIANS)
+
     def _connected(self, client: viser.ClientHandle) -> None:
         client.camera.on_update(lambda _: self._moved(client))
         self._moved(client)
@@ -98,8 +105,9 @@ class ServerRendering:
         look, background = self._shown
         camera = window_camera(client.camera.fov, client.camera.aspect, lines)
         pose = pose_of(client.camera)
-        image, output = painter.paint_with_output(pose, camera, look, background=background)
-        depth = np.where(np.asarray(output.alpha) > OPAQUE, np.asarray(output.depth), np.float32(_FAR))
+        output = jax.device_get(painter.render(pose, camera, look, background=background))
+        image = picture_of(output, look, background=background)
+        depth = np.where(output.alpha > OPAQUE, output.depth, np.float32(_FAR))
         if client.client_id in self._server.get_clients():
             client.scene.set_background_image(image, format="jpeg", jpeg_quality=90, depth=depth)
 
