@@ -32,4 +32,6 @@ def registration(
         inlier_fraction=jnp.asarray(fraction),
         rmse=jnp.zeros(()),
         num_free=jnp.asarray(0),
+        scale_change=jnp.asarray(0.0),
+        scale_sigma=jnp.asarray(0.001),
     )

@@ -89,8 +89,12 @@ def rows(**fixed):
     ],
 )
 def test_every_row_of_the_decision_table(fixed, expected):
-    judged = {int(judge(evidence)) for evidence in rows(**fixed)}
+    judged = {int(judge(evidence)) for evidence in rows(**fixed, same_scale=True)}
     assert judged == {expected}
+
+
+def test_nothing_is_believed_of_depth_in_another_unit():
+    assert {int(judge(evidence)) for evidence in rows(same_scale=False)} == {PoseSource.LOST}
 
 
 def test_the_table_leaves_no_evidence_out():

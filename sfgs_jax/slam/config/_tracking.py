@@ -134,6 +134,12 @@ class TrackingConfig:
     max_lost: int = 30
     """Lost frames in a row after which the surface alone finds no frame again. The camera may be anywhere by
     then, and surfaces fit in many places. Without keypoints there is no limit."""
+    max_scale_change: float = 0.025
+    """Largest change of the scale of depth from the reference to a frame, as a share, that is taken for the
+    distortion of the sensor. With a larger one a frame is lost: the sensor has changed its unit."""
+    max_depth_scatter: float = 0.01
+    """Largest scatter of depth from pixel to pixel, as a share of it, up to 2.5 metres; farther off more,
+    with the square of depth. Depth that scatters more is noise, and is not used."""
     keyframe_inlier_fraction: float = 0.7
     """Share of surface inliers below which a new keyframe is taken."""
     keyframe_margin: float = 1.5
@@ -150,6 +156,7 @@ class TrackingConfig:
         check_counts(self, 2, "num_references")
         check_counts(self, 0, "max_motion_model_frames", "max_lost")
         check_positive(self, "motion_model_sigma", "delay_sigma", "readout_sigma")
+        check_positive(self, "max_scale_change", "max_depth_scatter")
         check_positive(self, "depth_sigma", "depth_step_sigma", "depth_tilt_sigma")
         check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
         check_range(self, 0, 1, "keyframe_inlier_fraction")

@@ -13,6 +13,7 @@ from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Camera, Frame, clean_depth
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
+from sfgs_jax.slam.frontend._depth_scatter import is_noise
 from sfgs_jax.slam.frontend._image_signature import image_signature
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -100,6 +101,7 @@ def frame_features(
         network, slots = params.network, config.features.max_keypoints
         features = empty_features() if network is None else extract(network, grey, max_keypoints=slots)
     depth, _ = clean_depth(depth)
+    depth = jnp.where(is_noise(depth, config.max_depth_scatter), 0, depth)
     if params.depth_correction is not None:
         depth = params.depth_correction.corrected(depth, params.camera)
     features = _with_contrast(features, grey, config.features.min_contrast)

@@ -6,12 +6,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import jaxlie
+from jax import lax
 from jax.lax import Precision
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax import gicp
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import TrackingConfig
+from sfgs_jax.slam.frontend._depth_scale import depth_scale_change, is_other_scale, is_same_scale
 from sfgs_jax.slam.frontend._feature_registration import motion_from_keypoints, num_explained
 from sfgs_jax.slam.frontend._pose_source import Evidence, judge, rests_on_surface
 from sfgs_jax.slam.frontend._rectification import with_depth_in_time
@@ -26,10 +28,13 @@ class Allowed(NamedTuple):
     Attributes:
         surface: whether the surface alone may give the pose.
         motion_model: whether the motion model may fill the directions that the surface leaves free.
+        doubtful_scale: whether the sensor seems to have changed its scale of depth. Then nothing is believed
+            but what shows the scale to be the same.
     """
 
     surface: Bool[Array, ""] | bool = True
     motion_model: Bool[Array, ""] | bool = True
+    doubtful_scale: Bool[Array, ""] | bool = False
 
 
 def register(
@@ -85,7 +90,9 @@ def _register(
     many = matched.num_inliers >= features.min_inliers_alone
     start = _choose(helpful, matched.T_target_source, guess)
     if not config.use_surface:
-        return _without_surface(matched, start, helpful, many)
+        scale = _scale(params, source, target, start, matched, sweep)
+        same_scale = _believed(*scale, allowed, config)
+        return _without_surface(matched, start, helpful, many, scale, same_scale)
 
     surface = _align(params, source, target, matched, start, helpful, many, sweep)
     # Holes in the target's depth speak neither for a motion nor against it.
@@ -107,14 +114,19 @@ def _register(
         motion_model_allowed=allowed.motion_model,
     )
     by_surface = rests_on_surface(evidence)
+    T = _choose(by_surface, T, start)
+    scale = _scale(params, source, target, T, matched, sweep)
+    evidence = evidence._replace(same_scale=_believed(*scale, allowed, config))
     return Registration(
-        T_target_source=_choose(by_surface, T, start),
+        T_target_source=T,
         surface_information=jnp.where(by_surface, surface.information, 0),
         matched=matched,
         source=judge(evidence),
         inlier_fraction=fraction,
         rmse=surface.rmse,
         num_free=num_free,
+        scale_change=scale[0],
+        scale_sigma=scale[1],
     )
 
 
@@ -133,11 +145,40 @@ def _agree(
     return close | (2 * explained > matched.num_inliers)
 
 
+def _scale(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    T: jaxlie.SE3,
+    matched: FeatureRegistration,
+    sweep: gicp.Sweep | None,
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Change of the scale of depth and its standard deviation, without derivatives."""
+    moving = None if sweep is None else sweep.at(T)
+    return depth_scale_change(*lax.stop_gradient((params, source, target, T, matched, moving)))
+
+
+def _believed(
+    change: Float[Array, ""], sigma: Float[Array, ""], allowed: Allowed, config: TrackingConfig
+) -> Bool[Array, ""]:
+    """True if the frames have the same scale of depth, as far as can be asked for."""
+    limit = config.max_scale_change
+    same = is_same_scale(change, sigma, limit)
+    return jnp.where(jnp.asarray(allowed.doubtful_scale), same, ~is_other_scale(change, sigma, limit))
+
+
 def _without_surface(
-    matched: FeatureRegistration, T: jaxlie.SE3, helpful: Bool[Array, ""], many: Bool[Array, ""]
+    matched: FeatureRegistration,
+    T: jaxlie.SE3,
+    helpful: Bool[Array, ""],
+    many: Bool[Array, ""],
+    scale: tuple[Float[Array, ""], Float[Array, ""]],
+    same_scale: Bool[Array, ""],
 ) -> Registration:
     """The registration by keypoints alone."""
-    nothing = Evidence(helpful, many, surface=False, agree=False, surface_alone=False, free=False)
+    nothing = Evidence(
+        helpful, many, surface=False, agree=False, surface_alone=False, free=False, same_scale=same_scale
+    )
     zero = jnp.zeros(())
     return Registration(
         T_target_source=T,
@@ -147,6 +188,8 @@ def _without_surface(
         inlier_fraction=zero,
         rmse=zero,
         num_free=jnp.asarray(0),
+        scale_change=scale[0],
+        scale_sigma=scale[1],
     )
 
 

@@ -25,6 +25,7 @@ class Evidence(NamedTuple):
         surface_allowed: the camera was seen recently enough for the surface alone to tell where it is.
         motion_model_allowed: a motion was measured, no frame was lost since, and the motion model has not
             carried the pose too long or too far.
+        same_scale: nothing says that the two frames measure depth in different units.
     """
 
     keypoints: Flag
@@ -35,12 +36,14 @@ class Evidence(NamedTuple):
     free: Flag
     surface_allowed: Flag = True
     motion_model_allowed: Flag = True
+    same_scale: Flag = True
 
 
 def judge(evidence: Evidence) -> Int[Array, ""]:
     """Residuals that a pose rests on.
 
-    A dash stands for either. Few keypoints help the surface; many stand without it and against it.
+    A dash stands for either. Few keypoints help the surface; many stand without it and against it. Without the
+    same scale of depth the frame is `LOST` whatever else holds, for then the motion is wrong that fits best.
 
     | keypoints | many | surface | agree | surface alone | free | allowed | pose source |
     | --- | --- | --- | --- | --- | --- | --- | --- |
@@ -69,7 +72,7 @@ def judge(evidence: Evidence) -> Int[Array, ""]:
         (alone & e.free & e.motion_model_allowed, PoseSource.MOTION_MODEL),
     )
     numbers = [jnp.asarray(int(source), jnp.int32) for _, source in sources]
-    return jnp.select([when for when, _ in sources], numbers, jnp.zeros((), jnp.int32))
+    return jnp.select([when & e.same_scale for when, _ in sources], numbers, jnp.zeros((), jnp.int32))
 
 
 def rests_on_surface(evidence: Evidence) -> Bool[Array, ""]:

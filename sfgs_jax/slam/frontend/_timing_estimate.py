@@ -20,16 +20,13 @@ from jaxtyping import Array, Float
 
 from sfgs_jax import gicp
 from sfgs_jax.arrays import dot
-from sfgs_jax.geometry import kernel_weight, reprojection_residuals, se3
-from sfgs_jax.sensors import carried, row_places, velocities
+from sfgs_jax.geometry import se3
+from sfgs_jax.sensors import row_places, velocities
 from sfgs_jax.slam.frontend._rectification import with_depth_in_time
+from sfgs_jax.slam.frontend._registration_rows import keypoint_rows, surface_rows
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
-
-_DECIMATION = 2
-"""Every second row and column of the points aligned: neighbours share most of their pixels."""
-
 
 class _Registered(NamedTuple):
     """A registration and what it was found from.
@@ -117,64 +114,30 @@ def timing_equations(
 def _surface_rows(registered: _Registered) -> _Rows:
     """Distances along the normals, of a sample of the finest level."""
     params, source, target, found, moving, twist = registered
-    T, config = found.T_target_source, params.config.gicp
-    clouds = source.cloud.levels, target.cloud.levels
-    problem = gicp.level_problem(*clouds, None, 0, config, decimation=_DECIMATION)
-    problem = problem.with_moving_rows(moving)
-    pairs, points = problem.correspondences(T), problem.source.points
-    mean = problem.source.normals + pairs.normals
-    normals = mean * lax.rsqrt(jnp.where(pairs.valid, dot(mean, mean), 1))[None]
-    residual = jnp.where(pairs.valid, dot(points - pairs.points, normals), 0)
-    weight = problem.robust_weights(pairs)
-    excess = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight * pairs.variance), 1e-12)
+    camera, T = source.cloud.levels[0].camera, found.T_target_source
+    rows = surface_rows(source, target, T, params.config.gicp, moving)
 
     def by_times(at: Float[Array, "3 N"], pixels: Float[Array, "N 2"], twist: Float[Array, "6"]) -> Array:
-        speed = dot(velocities(at, twist), normals)
+        speed = dot(velocities(at, twist), rows.normals)
         share = row_places(pixels[:, 1], camera.height)
         return jnp.stack([speed, jnp.zeros_like(speed), speed * share])
 
-    camera = clouds[0][0].camera
-    seen = camera.project(se3.transform(T, pairs.points.T))
-    return _Rows(
-        residual=residual,
-        pose=jnp.concatenate([normals, jnp.cross(points, normals, axis=0)]),
-        source=by_times(points, camera.project(points.T), moving.twist),
-        target=-by_times(pairs.points, seen, twist),
-        weight=weight / (problem.redundancy * jnp.maximum(excess, 1)),
-    )
+    seen = camera.project(se3.transform(T, rows.targets.T))
+    by_source = by_times(rows.points, camera.project(rows.points.T), moving.twist)
+    return _Rows(rows.residual, rows.pose, by_source, -by_times(rows.targets, seen, twist), rows.weight)
 
 
 def _keypoint_rows(registered: _Registered) -> _Rows:
     """Reprojection errors of the matches that the motion explains."""
     params, source, target, found, moving, twist = registered
-    T, matched, camera, config = found.T_target_source, found.matched, params.camera, params.config.features
-    slots, pixels = matched.index, source.keypoints.features.keypoints
-    points = se3.transform(se3.inverse(T), target.keypoints.points[slots]).T
-    points = jnp.where(matched.inliers[None], points, jnp.asarray([[0], [0], [1]], points.dtype))
-    times = moving.timing.colour_times(row_places(pixels[:, 1], camera.height))
-    at = reprojection_residuals(
-        camera,
-        carried(points, moving.twist, -times),
-        pixels.T,
-        source.keypoints.depth,
-        sigma=config.pixel_sigma,
-        inverse_depth_sigma=config.inverse_depth_sigma,
-    )
-    square = jnp.sum(at.residual**2, axis=0)
-    robust = kernel_weight(square, "geman_mcclure", config.kernel_width)
-    weight = jnp.where(matched.inliers & at.has_image, robust, 0)
-    excess = jnp.sum(weight * square) / jnp.maximum(3 * jnp.sum(weight), 1)
+    T, matched, camera = found.T_target_source, found.matched, params.camera
+    rows = keypoint_rows(params, source, target, T, matched, moving)
 
     def by_times(pixels: Float[Array, "k 2"], twist: Float[Array, "6"]) -> Array:
         share = row_places(pixels[:, 1], camera.height)
-        speeds = velocities(points, twist) * share[None]
-        speed = jnp.sum(at.point_jacobian * speeds[None], axis=1).reshape(-1)
+        speed = rows.by_points(velocities(rows.points, twist) * share[None])
         return jnp.stack([jnp.zeros_like(speed), speed, jnp.zeros_like(speed)])
 
-    return _Rows(
-        residual=at.residual.reshape(-1),
-        pose=jnp.moveaxis(at.pose_jacobian, 1, 0).reshape(6, -1),
-        source=-by_times(pixels, moving.twist),
-        target=by_times(target.keypoints.features.keypoints[slots], twist),
-        weight=jnp.tile(weight / (config.correlation * jnp.maximum(excess, 1)), 3),
-    )
+    by_source = -by_times(source.keypoints.features.keypoints, moving.twist)
+    by_target = by_times(target.keypoints.features.keypoints[matched.index], twist)
+    return _Rows(rows.residual, rows.pose, by_source, by_target, rows.weights)

@@ -13,6 +13,7 @@ from sfgs_jax import gicp
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
+from sfgs_jax.slam.frontend._depth_scale import is_other_scale
 from sfgs_jax.slam.frontend._frame_features import feature_shapes, frame_features
 from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, register
 from sfgs_jax.slam.frontend._rectification import rectified
@@ -144,6 +145,9 @@ def settle(
     motion = tracker.last_motion if sweep is None else sweep.at(jaxlie.SE3(T))
     tracker = _with_timing(params, tracker, seen, found, motion, tracked & ~is_first)
     tracker = _moved(tracker, before, jaxlie.SE3(T), source, relocalised)
+    other = is_other_scale(found.scale_change, found.scale_sigma, params.config.max_scale_change)
+    doubtful = ~tracked & (tracker.doubtful_scale | other)
+    tracker = eqx.tree_at(lambda t: t.doubtful_scale, tracker, doubtful)
     info = TrackInfo(
         T_world_cam=tracker.T_world_cam,
         T_reference_cam=jaxlie.SE3(T),
@@ -203,7 +207,11 @@ def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
     recent = tracker.lost_in_a_row <= config.max_lost
     has_keypoints = config.features.kind != "none"
     # The second frame may have moved in any way, and so may a lost one: that it stood still is a guess.
-    return Allowed(surface=recent | (not has_keypoints), motion_model=carried & tracker.has_motion)
+    return Allowed(
+        surface=recent | (not has_keypoints),
+        motion_model=carried & tracker.has_motion,
+        doubtful_scale=tracker.doubtful_scale,
+    )
 
 
 def _starts(tracker: Tracker) -> Float[Array, "4 7"]:
@@ -310,7 +318,14 @@ def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
         return (found.source == PoseSource.LOST) & (attempt < count)
 
     def again(state: tuple[Registration, Int[Array, ""]]) -> tuple[Registration, Int[Array, ""]]:
-        return _register_at(inputs, state[1]), state[1] + 1
+        before, found = state[0], _register_at(inputs, state[1])
+        # Of what the attempts say about the scale of depth, the clearest is kept.
+        clearer = abs(found.scale_change) * before.scale_sigma >= abs(before.scale_change) * found.scale_sigma
+        change, sigma = (
+            jnp.where(clearer, new, old)
+            for new, old in ((found.scale_change, before.scale_change), (found.scale_sigma, before.scale_sigma))
+        )
+        return eqx.tree_at(lambda f: (f.scale_change, f.scale_sigma), found, (change, sigma)), state[1] + 1
 
     found, attempts = lax.while_loop(unfinished, again, (blank, first))
     return found, attempts - 1

@@ -218,7 +218,8 @@ def _observations(
     """Reprojections of the members' landmarks, and the numbers of these."""
     keyframes = [graph.keyframes[number] for number in members]
     shown = np.stack([keyframe.landmarks for keyframe in keyframes])
-    placed = (shown >= 0) & (graph.landmarks.keyframes[np.maximum(shown, 0)] >= 0)
+    placed = shown >= 0
+    placed[placed] = graph.landmarks.keyframes[shown[placed]] >= 0
     row, slot = np.nonzero(placed)
     numbers, index = chosen(row, shown[row, slot], config.max_landmarks)
     # The best landmarks first: where there are too many observations, the others lose theirs.

@@ -18,8 +18,9 @@ from jaxtyping import Array, Float
 
 from sfgs_jax import gicp
 from sfgs_jax.arrays import dot
-from sfgs_jax.geometry import kernel_weight, reprojection_residuals, se3
+from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import grid_shares
+from sfgs_jax.slam.frontend._registration_rows import keypoint_rows
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import BY_KEYPOINTS, PoseSource, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -129,31 +130,14 @@ def _keypoint_rows(
     params: TrackerParams, source: FrameFeatures, target: FrameFeatures, found: Registration
 ) -> tuple[Float[Array, "n N"], Float[Array, " N"]]:
     """Reprojection errors of the matches that the motion explains, with their derivatives, and weights."""
-    T, matched, camera, config = found.T_target_source, found.matched, params.camera, params.config.features
+    T, matched, camera = found.T_target_source, found.matched, params.camera
+    rows = keypoint_rows(params, source, target, T, matched)
     pixels, seen = source.keypoints.features.keypoints, target.keypoints.points[matched.index]
-    inside = jnp.asarray([[0], [0], [1]], seen.dtype)
-    points = jnp.where(matched.inliers[None], se3.transform(se3.inverse(T), seen).T, inside)
-    depth = source.keypoints.depth
-    at = reprojection_residuals(
-        camera,
-        points,
-        pixels.T,
-        depth,
-        sigma=config.pixel_sigma,
-        inverse_depth_sigma=config.inverse_depth_sigma,
-    )
-    square = jnp.sum(at.residual**2, axis=0)
-    robust = kernel_weight(square, "geman_mcclure", config.kernel_width)
-    weight = jnp.where(matched.inliers & at.has_image, robust, 0)
-    excess = jnp.sum(weight * square) / jnp.maximum(3 * jnp.sum(weight), 1)
-
     turned = jnp.matmul(se3.rotation_matrix(T).T, seen.T, precision=Precision.HIGHEST)
-    along = turned * seen[:, 2][None]
-    moved = jnp.sum(at.point_jacobian * along[None], axis=1)
+    moved = jnp.sum(rows.at.point_jacobian * (turned * seen[:, 2][None])[None], axis=1)
     target_pixels = target.keypoints.features.keypoints[matched.index]
     by_offsets = moved[:, None] * grid_shares(target_pixels, camera)[None]
-    measured = jnp.where(depth > 0, 1 / config.inverse_depth_sigma, 0)
+    measured = jnp.where(source.keypoints.depth > 0, 1 / params.config.features.inverse_depth_sigma, 0)
     by_offsets = by_offsets.at[2].add(measured[None] * grid_shares(pixels, camera))
-    rows = jnp.concatenate([at.pose_jacobian, by_offsets, at.residual[:, None]], axis=1)
-    rows = jnp.moveaxis(rows, 1, 0).reshape(rows.shape[1], -1)
-    return rows, jnp.tile(weight / (config.correlation * jnp.maximum(excess, 1)), 3)
+    all_rows = jnp.concatenate([rows.at.pose_jacobian, by_offsets, rows.at.residual[:, None]], axis=1)
+    return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), rows.weights

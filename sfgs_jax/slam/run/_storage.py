@@ -33,7 +33,7 @@ from sfgs_jax.slam.state import (
 )
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 15
+FORMAT_VERSION = 16
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 

@@ -62,6 +62,8 @@ class Registration(eqx.Module):
         inlier_fraction: share of the source's points that lie on the target, but for those at its holes.
         rmse: root mean square distance of those along the normals, metres.
         num_free: directions of motion that the surface leaves free, 0 to 6.
+        scale_change: logarithm of the target's scale of depth over the source's.
+        scale_sigma: standard deviation of that.
     """
 
     T_target_source: jaxlie.SE3
@@ -71,6 +73,8 @@ class Registration(eqx.Module):
     inlier_fraction: Float[Array, ""]
     rmse: Float[Array, ""]
     num_free: Int[Array, ""]
+    scale_change: Float[Array, ""]
+    scale_sigma: Float[Array, ""]
 
     @property
     def found(self) -> Bool[Array, ""]:

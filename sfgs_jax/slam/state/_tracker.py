@@ -83,6 +83,8 @@ class Tracker(eqx.Module):
         lost_in_a_row: frames since the newest tracked frame, all of them lost.
         motion_model_frames: newest frames in a row whose pose rests on the motion model in part.
         motion_model_travel: motion that the model added up to over these, metres or radians, the larger.
+        doubtful_scale: whether the sensor seems to have changed its scale of depth since the newest tracked
+            frame.
         timing: what the frames said about the times of the rows.
         suspicion: where the newest frames may be, if more of them confirm it.
     """
@@ -105,6 +107,7 @@ class Tracker(eqx.Module):
     lost_in_a_row: Int[Array, ""]
     motion_model_frames: Int[Array, ""]
     motion_model_travel: Float[Array, ""]
+    doubtful_scale: Bool[Array, ""]
     timing: TimingInformation
     suspicion: Suspicion
 
@@ -174,6 +177,7 @@ def empty_tracker(features: FrameFeatures, registration: Registration, num_refer
         lost_in_a_row=_scalar(0, np.int32),
         motion_model_frames=_scalar(0, np.int32),
         motion_model_travel=_scalar(0, dtype),
+        doubtful_scale=_scalar(False, bool),
         timing=TimingInformation(
             jax.device_put(np.zeros((3, 3), dtype)),
             jax.device_put(np.zeros(3, dtype)),
