@@ -43,7 +43,7 @@ class RunObserver:
         self._report, self._recording, self._folder = report, recording, folder
         self._restore, self._keep_state, self._interval = restore, keep_state, interval
         self._error, self._failure = "", ""
-        self._said_storage_failure = False
+        self._said_storage_failure = self._contradicted = False
         self._start: tuple[int, float] | None = None
 
     def begin(self, first: int) -> None:
@@ -102,6 +102,10 @@ class RunObserver:
             logger.warning("images of old views stay in memory, for they could not be written: %s", failure)
         if progress.skipped is not None:
             logger.warning("frame %d skipped: %s", number, progress.skipped)
+        elif info is not None and info.contradiction:
+            # Said once while it lasts.
+            if not self._contradicted:
+                logger.warning("frames are lost from %d on: %s", number, info.contradiction)
         elif info is not None and not info.tracked:
             share = 100 * info.inlier_fraction
             logger.warning(
@@ -109,6 +113,7 @@ class RunObserver:
             )
         elif info is not None and info.relocalised:
             logger.info("frame %d found again", number)
+        self._contradicted = info is not None and bool(info.contradiction)
         if info is not None and info.loop_closed:
             logger.info("frame %d closed a loop", number)
 

@@ -1,4 +1,7 @@
-"""Models of what a camera does to its images: lens, exposure, distortion of depth, times of the rows."""
+"""Models of what a camera does to its images: lens, exposure, distortion of depth, times of the rows.
+
+Outlines in depth and edges in colour tell whether the two images belong together.
+"""
 
 from sfgs_jax.sensors._brightness import block_means as block_means
 from sfgs_jax.sensors._brightness import brightness_change as brightness_change
@@ -14,6 +17,9 @@ from sfgs_jax.sensors._exposure_file import format_gains as format_gains
 from sfgs_jax.sensors._exposure_file import read_gains as read_gains
 from sfgs_jax.sensors._lens import Undistortion as Undistortion
 from sfgs_jax.sensors._model import SensorModel as SensorModel
+from sfgs_jax.sensors._outlines import colour_edges as colour_edges
+from sfgs_jax.sensors._outlines import depth_outlines as depth_outlines
+from sfgs_jax.sensors._outlines import outline_agreement as outline_agreement
 from sfgs_jax.sensors._sensor_file import SENSOR_FILE as SENSOR_FILE
 from sfgs_jax.sensors._sensor_file import TIME_NAMES as TIME_NAMES
 from sfgs_jax.sensors._sensor_file import read_sensors as read_sensors

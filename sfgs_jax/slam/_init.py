@@ -9,7 +9,14 @@ from sfgs_jax.sensors import SensorModel, block_means
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import init_tracker, offsets_in_use, tracker_params
 from sfgs_jax.slam.keyframes import prior_noise
-from sfgs_jax.slam.state import SlamState, empty_graph, empty_log, empty_map_state, mapping_camera
+from sfgs_jax.slam.state import (
+    SlamState,
+    empty_graph,
+    empty_log,
+    empty_map_state,
+    empty_synchrony,
+    mapping_camera,
+)
 
 
 def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel | None = None) -> SlamState:
@@ -41,5 +48,6 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
         last_timestamp=float("nan"),
         last_view=0,
         last_look=block_means(np.zeros((*camera.shape, 3), np.float32)),
+        synchrony=empty_synchrony(camera),
         num_lost=0,
     )

@@ -11,7 +11,7 @@ from sfgs_jax.geometry import HELD_OUT_EVERY
 from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import without_pose
-from sfgs_jax.slam.state import SlamState, Tracker, empty_log
+from sfgs_jax.slam.state import SlamState, Tracker, empty_log, empty_synchrony
 
 
 def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState:
@@ -49,6 +49,7 @@ def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState
         next_frame=0,
         last_timestamp=float("nan"),
         last_view=state.last_view - earlier,
+        synchrony=empty_synchrony(state.camera),
         num_lost=0,
     )
 

@@ -4,6 +4,7 @@ This file holds the order of things. `track`, `adjust` and `map_step` are compil
 decides what happens next, and lets arrays grow.
 """
 
+import warnings
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,7 +17,14 @@ from sfgs_jax.geometry import Frame, se3, warn_unless_metres
 from sfgs_jax.slam._frame_brightness import look_of
 from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._graph_results import with_graph
-from sfgs_jax.slam.frontend import Found, TrackInfo, find_frame, with_corrected_depth
+from sfgs_jax.slam.frontend import (
+    Found,
+    TrackInfo,
+    find_frame,
+    lost_unseen,
+    watched,
+    with_corrected_depth,
+)
 from sfgs_jax.slam.keyframes import advance_graph, motion_covariance, revisited, with_new_keyframes
 from sfgs_jax.slam.mapping import becomes_view, map_frame, view_of
 from sfgs_jax.slam.state import (
@@ -24,8 +32,10 @@ from sfgs_jax.slam.state import (
     SlamState,
     Stages,
     StepInfo,
+    Tracker,
     View,
     covariances_of,
+    lost_info,
     mapping_factor,
     untimed,
 )
@@ -53,7 +63,8 @@ def step(
     The work is done by compiled functions; the first frames of an image size wait for their compilation, or
     `warm_up` does it before. It runs on the host; inside `jit`, `scan` or `vmap` use `track`.
 
-    Warns if the first frame's depth is not in metres by its median.
+    Warns if the first frame's depth is not in metres by its median, and if depth contradicts colour or the
+    frames before; then frames are lost.
 
     Args:
         state: the run so far, from `init` or an earlier step.
@@ -68,6 +79,8 @@ def step(
     if isinstance(frame, Frame) and not len(state.log.timestamps):
         warn_unless_metres(frame.depth)
     state, info, view = follow(state, frame, number=number, stages=stages)
+    if info.contradiction:
+        warnings.warn(info.contradiction, stacklevel=2)
     if not info.tracked:
         return state, info
     mapping, loss = map_frame(state.mapping, state, view, stages=stages)
@@ -85,13 +98,18 @@ def follow(
     number, time = state.next_frame if number is None else number, float(frame.timestamp)
     params, config, since = state.params, state.config.graph, time - state.last_timestamp
     with stages("tracking"):
+        synchrony = watched(state.synchrony, frame, params.config.max_depth_lag)
+        state = replace(state, synchrony=synchrony)
+        if synchrony.lag:
+            return _out_of_step(state, number, time)
         found = find_frame(params, state.tracker, frame, since, state.graph, config)
         found = revisited(params, found, state.graph, config)
         tracker, info = found.tracker, _info(found)
     before, state = state, replace(state, tracker=tracker, next_frame=number + 1, last_timestamp=time)
     if not info.tracked:
         state = replace(state, num_lost=state.num_lost + 1)
-        return Followed(state, info._replace(T_world_cam=state.T_world_cam), None)
+        told = _contradiction(found.info, tracker)
+        return Followed(state, info._replace(T_world_cam=state.T_world_cam, contradiction=told), None)
 
     with stages("graph"):
         frames = (before.log.newest, number)
@@ -113,6 +131,26 @@ def follow(
     info = info._replace(T_world_cam=state.T_world_cam, covariance=covariance)
     info = info._replace(new_view=view is not None, loop_closed=closed)
     return Followed(state, info, view)
+
+
+def _out_of_step(state: SlamState, number: int, time: float) -> Followed:
+    """The run after a frame whose depth is of another time than its colour."""
+    since, lag = time - state.last_timestamp, state.synchrony.lag
+    tracker = lost_unseen(state.tracker, since if 0 < since < np.inf else 0)
+    state = replace(
+        state, tracker=tracker, next_frame=number + 1, last_timestamp=time, num_lost=state.num_lost + 1
+    )
+    told = f"Depth comes {abs(lag)} frames {'late' if lag > 0 else 'early'} against colour."
+    return Followed(state, lost_info(state.T_world_cam)._replace(contradiction=told), None)
+
+
+def _contradiction(info: TrackInfo, tracker: Tracker) -> str:
+    """Why a lost frame's depth is not believed; empty if nothing speaks against it."""
+    if not bool(tracker.doubtful_scale):
+        return ""
+    change = -100 * float(info.registration.scale_change)
+    word = "longer" if change > 0 else "shorter"
+    return f"Depth is about {abs(change):.0f} % {word} than in the frames before."
 
 
 def _info(ladder: Found) -> StepInfo:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from sfgs_jax.evaluation.recording_check._edges import agreement
 from sfgs_jax.evaluation.recording_check._finding import Finding
 from sfgs_jax.evaluation.recording_check._sample import RecordingSample
+from sfgs_jax.sensors import outline_agreement
 
 _FARTHEST = 15
 """Most frames that depth is tried earlier or later."""
@@ -163,7 +163,7 @@ def _by_lag(sample: RecordingSample, layout: str) -> _LagTable:
             if not outlined[-1]:
                 continue
             moved = np.rint(transform(depth_frame.outlines / size) * size).astype(np.int32)
-            values = agreement(edges, moved[None])[0]
+            values = outline_agreement(edges, moved[None])[0]
             for colour_frame, value in zip(window, values.tolist(), strict=True):
                 # Depth that belongs to an earlier colour image is late.
                 lag = depth_frame.index - colour_frame.index
@@ -271,7 +271,7 @@ def _best_placement(sample: RecordingSample) -> tuple[float, float, Float[np.nda
     best, zoom, shift, plain = -np.inf, 1.0, np.zeros(2), 1e-3
     for tried in (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15):
         values = [
-            agreement(
+            outline_agreement(
                 frame.edges[None], np.rint((points - centre) * tried + centre + shifts).astype(np.int32)
             )
             for frame, points in zip(frames, outlines, strict=True)

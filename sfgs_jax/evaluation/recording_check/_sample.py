@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import Recording
-from sfgs_jax.evaluation.recording_check._edges import colour_edges, depth_outlines
+from sfgs_jax.sensors import colour_edges, depth_outlines
 
 _WINDOWS, _WINDOW = 8, 20
 _LARGEST_WIDTH = 640

@@ -137,6 +137,9 @@ class TrackingConfig:
     max_scale_change: float = 0.025
     """Largest change of the scale of depth from the reference to a frame, as a share, that is taken for the
     distortion of the sensor. With a larger one a frame is lost: the sensor has changed its unit."""
+    max_depth_lag: int = 1
+    """Frames by which depth may come late or early against colour. Beyond it frames are lost, for their depth
+    is of another time. 5 or more looks for no lag."""
     max_depth_scatter: float = 0.01
     """Largest scatter of depth from pixel to pixel, as a share of it, up to 2.5 metres; farther off more,
     with the square of depth. Depth that scatters more is noise, and is not used."""
@@ -154,7 +157,7 @@ class TrackingConfig:
         """Refuse values that have no meaning."""
         # One frame may bring two keyframes.
         check_counts(self, 2, "num_references")
-        check_counts(self, 0, "max_motion_model_frames", "max_lost")
+        check_counts(self, 0, "max_motion_model_frames", "max_lost", "max_depth_lag")
         check_positive(self, "motion_model_sigma", "delay_sigma", "readout_sigma")
         check_positive(self, "max_scale_change", "max_depth_scatter")
         check_positive(self, "depth_sigma", "depth_step_sigma", "depth_tilt_sigma")

@@ -33,9 +33,11 @@ from sfgs_jax.slam.frontend._rectification import rectified as rectified
 from sfgs_jax.slam.frontend._suspicion import NO_SUSPICION as NO_SUSPICION
 from sfgs_jax.slam.frontend._suspicion import strengthened as strengthened
 from sfgs_jax.slam.frontend._suspicion import undisputed as undisputed
+from sfgs_jax.slam.frontend._synchrony import watched as watched
 from sfgs_jax.slam.frontend._track import TrackInfo as TrackInfo
 from sfgs_jax.slam.frontend._track import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend._track import init_tracker as init_tracker
+from sfgs_jax.slam.frontend._track import lost_unseen as lost_unseen
 from sfgs_jax.slam.frontend._track import needs_keyframe as needs_keyframe
 from sfgs_jax.slam.frontend._track import track as track
 from sfgs_jax.slam.frontend._track_sequence import TrackedSequence as TrackedSequence

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 _FAR = 2.5
-"""Depth up to which scatter may grow with depth, and beyond which with its square, metres. Noise of time of flight
-grows like the one, noise of triangulation like the other."""
+"""Depth up to which scatter may grow with depth, and beyond which with its square, metres. Time of flight is
+noisy like the one, triangulation like the other."""
 _BENDS = 6**0.5
 """Standard deviation of a - 2 b + c, in those of a, b and c."""
 _MEDIAN = 0.6745

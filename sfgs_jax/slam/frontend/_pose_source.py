@@ -42,8 +42,8 @@ class Evidence(NamedTuple):
 def judge(evidence: Evidence) -> Int[Array, ""]:
     """Residuals that a pose rests on.
 
-    A dash stands for either. Few keypoints help the surface; many stand without it and against it. Without the
-    same scale of depth the frame is `LOST` whatever else holds, for then the motion is wrong that fits best.
+    A dash stands for either. Few keypoints help the surface; many stand without it and against it. Without
+    the same scale of depth the frame is `LOST` whatever else holds: the motion that fits best is then wrong.
 
     | keypoints | many | surface | agree | surface alone | free | allowed | pose source |
     | --- | --- | --- | --- | --- | --- | --- | --- |

@@ -28,6 +28,7 @@ from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
 
+
 class _Registered(NamedTuple):
     """A registration and what it was found from.
 

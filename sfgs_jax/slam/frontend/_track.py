@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -160,6 +161,20 @@ def settle(
     )
     tracker = _push_if(new_keyframe, params, tracker, seen, motion, info.T_world_cam)
     return _remembered(tracker, seen, motion, found, tracked, could_be_keyframe & ~new_keyframe), info
+
+
+def lost_unseen(tracker: Tracker, elapsed: float) -> Tracker:
+    """The tracker after a frame that was not even looked at; on the host.
+
+    Args:
+        tracker: before the frame.
+        elapsed: seconds since the frame before; 0 if unknown.
+    """
+    since, lost = np.asarray(tracker.since_tracked), np.asarray(tracker.lost_in_a_row)
+    after = np.asarray(since + elapsed, since.dtype), np.asarray(lost + 1, lost.dtype), np.asarray(False)
+    return eqx.tree_at(
+        lambda t: (t.since_tracked, t.lost_in_a_row, t.has_motion), tracker, jax.device_put(after)
+    )
 
 
 @partial(jax.jit, static_argnames="config", inline=True)
@@ -322,13 +337,16 @@ def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
         # Of what the attempts say about the scale of depth, the clearest is kept.
         clearer = abs(found.scale_change) * before.scale_sigma >= abs(before.scale_change) * found.scale_sigma
         change, sigma = (
-            jnp.where(clearer, new, old)
-            for new, old in ((found.scale_change, before.scale_change), (found.scale_sigma, before.scale_sigma))
+            jnp.where(clearer, new, old) for new, old in zip(_scale(found), _scale(before), strict=True)
         )
-        return eqx.tree_at(lambda f: (f.scale_change, f.scale_sigma), found, (change, sigma)), state[1] + 1
+        return eqx.tree_at(_scale, found, (change, sigma)), state[1] + 1
 
     found, attempts = lax.while_loop(unfinished, again, (blank, first))
     return found, attempts - 1
+
+
+def _scale(found: Registration) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    return found.scale_change, found.scale_sigma
 
 
 @_first_success.def_jvp

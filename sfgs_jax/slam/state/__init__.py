@@ -36,7 +36,10 @@ from sfgs_jax.slam.state._slam_state import mapping_camera as mapping_camera
 from sfgs_jax.slam.state._slam_state import mapping_factor as mapping_factor
 from sfgs_jax.slam.state._step_info import Stages as Stages
 from sfgs_jax.slam.state._step_info import StepInfo as StepInfo
+from sfgs_jax.slam.state._step_info import lost_info as lost_info
 from sfgs_jax.slam.state._step_info import untimed as untimed
+from sfgs_jax.slam.state._synchrony import Synchrony as Synchrony
+from sfgs_jax.slam.state._synchrony import empty_synchrony as empty_synchrony
 from sfgs_jax.slam.state._tracker import Suspicion as Suspicion
 from sfgs_jax.slam.state._tracker import Tracker as Tracker
 from sfgs_jax.slam.state._tracker import TrackerParams as TrackerParams

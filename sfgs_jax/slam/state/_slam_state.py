@@ -12,6 +12,7 @@ from sfgs_jax.slam.config import MappingConfig, SlamConfig
 from sfgs_jax.slam.state._frame_log import FrameLog, covariances_of, trajectory_of
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._map_state import MapState
+from sfgs_jax.slam.state._synchrony import Synchrony
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
 from sfgs_jax.slam.state._view_estimates import corrections_of, gains_of
 from sfgs_jax.splatting import Gaussians
@@ -33,6 +34,7 @@ class SlamState:
         last_timestamp: seconds, of the newest frame; NaN before the first.
         last_view: number of the newest frame that became a view of the map.
         last_look: (h, w, 3) mean colours of the newest tracked frame, by blocks; see `sensors.block_means`.
+        synchrony: what the newest frames say about the time between depth and colour.
         num_lost: frames that were not found.
     """
 
@@ -46,6 +48,7 @@ class SlamState:
     last_timestamp: float
     last_view: int
     last_look: Float[np.ndarray, "h w 3"]
+    synchrony: Synchrony
     num_lost: int
 
     def __repr__(self) -> str:

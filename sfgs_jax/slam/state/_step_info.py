@@ -45,6 +45,8 @@ class StepInfo(NamedTuple):
         num_matches: keypoints matched with the reference's.
         num_inliers: matches that agree with the motion found.
         loss: of the map on the view last rendered, before the step on it; NaN if none was.
+        contradiction: why the frame was not believed, if its depth contradicts its colour or the frames
+            before; otherwise empty.
     """
 
     T_world_cam: jaxlie.SE3
@@ -61,6 +63,7 @@ class StepInfo(NamedTuple):
     num_matches: int
     num_inliers: int
     loss: float
+    contradiction: str = ""
 
     def __repr__(self) -> str:
         happened = ("relocalised", "new_keyframe", "new_map", "new_view", "loop_closed")
@@ -74,3 +77,27 @@ class StepInfo(NamedTuple):
             matches=Text(f"{self.num_inliers} of {self.num_matches}"),
             **{name: True for name in happened if getattr(self, name)},
         )
+
+
+def lost_info(T_world_cam: jaxlie.SE3) -> StepInfo:
+    """The report of a frame that was lost unseen.
+
+    Args:
+        T_world_cam: the last known pose.
+    """
+    return StepInfo(
+        T_world_cam=T_world_cam,
+        covariance=np.diag(np.full(6, np.inf)),
+        tracked=False,
+        source=PoseSource.LOST,
+        relocalised=False,
+        new_keyframe=False,
+        new_map=False,
+        new_view=False,
+        loop_closed=False,
+        inlier_fraction=0.0,
+        rmse=0.0,
+        num_matches=0,
+        num_inliers=0,
+        loss=float("nan"),
+    )

@@ -48,7 +48,7 @@ def _near_sides(depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return (depth > 0) & (far > _JUMP * depth) & (depth < 1.01 * near)
 
 
-def agreement(
+def outline_agreement(
     edges: Float[np.ndarray, "k h w"], outlines: Int[np.ndarray, "s n 2"]
 ) -> Float[np.ndarray, "s k"]:
     """Mean colour edge on depth's outlines: 0 by chance, 0.3 to 3 where they belong together.
