@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Real, UInt8
 
 _JUMP = 1.05
 """Ratio of depths across an outline."""
@@ -49,7 +49,7 @@ def _near_sides(depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def outline_agreement(
-    edges: Float[np.ndarray, "k h w"], outlines: Int[np.ndarray, "s n 2"]
+    edges: Real[np.ndarray, "k h w"], outlines: Int[np.ndarray, "s n 2"]
 ) -> Float[np.ndarray, "s k"]:
     """Mean colour edge on depth's outlines: 0 by chance, 0.3 to 3 where they belong together.
 

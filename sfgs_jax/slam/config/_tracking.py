@@ -134,6 +134,9 @@ class TrackingConfig:
     max_lost: int = 30
     """Lost frames in a row after which the surface alone finds no frame again. The camera may be anywhere by
     then, and surfaces fit in many places. Without keypoints there is no limit."""
+    max_position_sigma: float = 0.5
+    """Standard deviation of a frame's position in its keyframe beyond which the frame is lost, metres. It
+    grows while the motion model carries the pose."""
     max_scale_change: float = 0.025
     """Largest change of the scale of depth from the reference to a frame, as a share, that is taken for the
     distortion of the sensor. With a larger one a frame is lost: the sensor has changed its unit."""
@@ -160,6 +163,7 @@ class TrackingConfig:
         check_counts(self, 0, "max_motion_model_frames", "max_lost", "max_depth_lag")
         check_positive(self, "motion_model_sigma", "delay_sigma", "readout_sigma")
         check_positive(self, "max_scale_change", "max_depth_scatter")
+        check_positive(self, "max_position_sigma")
         check_positive(self, "depth_sigma", "depth_step_sigma", "depth_tilt_sigma")
         check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
         check_range(self, 0, 1, "keyframe_inlier_fraction")

@@ -20,6 +20,10 @@ from sfgs_jax.superfeats import Expected, Matches, match
 _STEPS = 8
 
 
+_CELLS = 8
+"""Parts of the image's width, and of its height, that matches are counted by."""
+
+
 class _Rows(NamedTuple):
     """Matched keypoints: the target's points, what the source saw of them, and weights, None if equal."""
 
@@ -65,7 +69,8 @@ def motion_from_keypoints(
     if slots == 0:
         # Features are switched off.
         nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
-        return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
+        zero = jnp.zeros(())
+        return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none, zero)
     matches = match(
         source.features,
         target.features,
@@ -79,15 +84,16 @@ def motion_from_keypoints(
     )
 
     num_matches = jnp.sum(valid, dtype=jnp.int32)
-    guessed = _support(guess, rows, camera, config)
+    shares = _shares(rows, camera)
+    guessed = _support(guess, rows, shares, camera, config)
 
     def rigid() -> jaxlie.SE3:
         T = _rigid_motion(source, rows, matches.similarity, config)
-        better = _support(T, rows, camera, config) > guessed
+        better = _support(T, rows, shares, camera, config) > guessed
         return jaxlie.SE3(jnp.where(better, T.wxyz_xyz, guess.wxyz_xyz))
 
     # A guess that explains most of the matches has no rival, and is a good enough start.
-    T = lax.cond(2 * guessed > num_matches, lambda: jaxlie.SE3(guess.wxyz_xyz), rigid)
+    T = lax.cond(2 * guessed > jnp.sum(shares), lambda: jaxlie.SE3(guess.wxyz_xyz), rigid)
     T, hessian = _refine(T, rows, camera, config)
     inliers = _explained(T, rows, camera, config, config.inlier_pixels)
     return FeatureRegistration(
@@ -97,6 +103,7 @@ def motion_from_keypoints(
         inliers,
         num_matches,
         jnp.sum(inliers, dtype=jnp.int32),
+        jnp.sum(jnp.where(inliers, shares, 0)) / jnp.maximum(jnp.sum(shares), 1),
     )
 
 
@@ -193,9 +200,26 @@ def _explained(
     return front & near & (error < (pixels / config.pixel_sigma) ** 2)
 
 
-def _support(T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig) -> Int[Array, ""]:
-    """Matches that an unrefined motion explains, counted."""
-    return jnp.sum(_explained(T, rows, camera, config, 2 * config.inlier_pixels), dtype=jnp.int32)
+def _shares(rows: _Rows, camera: Camera) -> Float[Array, " k"]:
+    """Part of each match in its cell of the image; all matches of a cell make 1 together.
+
+    A thing that moves by itself may be small and still hold most of the keypoints.
+    """
+    u, v = rows.pixels.T
+    column, row = (
+        jnp.clip((_CELLS / side * place).astype(jnp.int32), 0, _CELLS - 1)
+        for place, side in ((u, camera.width), (v, camera.height))
+    )
+    cell = jnp.where(rows.valid, row * _CELLS + column, _CELLS**2)
+    counts = jnp.zeros(_CELLS**2 + 1, rows.pixels.dtype).at[cell].add(1)
+    return jnp.where(rows.valid, 1 / counts[cell], 0)
+
+
+def _support(
+    T: jaxlie.SE3, rows: _Rows, shares: Float[Array, " k"], camera: Camera, config: FeaturesConfig
+) -> Float[Array, ""]:
+    """Cells of the image that an unrefined motion explains."""
+    return jnp.sum(jnp.where(_explained(T, rows, camera, config, 2 * config.inlier_pixels), shares, 0))
 
 
 def _refine(

@@ -28,12 +28,15 @@ class Allowed(NamedTuple):
     Attributes:
         surface: whether the surface alone may give the pose.
         motion_model: whether the motion model may fill the directions that the surface leaves free.
+        surface_against_keypoints: whether the surface alone may give it although many keypoints match and fit
+            no motion. Not of a camera that was lost, which may be anywhere.
         doubtful_scale: whether the sensor seems to have changed its scale of depth. Then nothing is believed
             but what shows the scale to be the same.
     """
 
     surface: Bool[Array, ""] | bool = True
     motion_model: Bool[Array, ""] | bool = True
+    surface_against_keypoints: Bool[Array, ""] | bool = True
     doubtful_scale: Bool[Array, ""] | bool = False
 
 
@@ -85,9 +88,10 @@ def _register(
         source = FrameFeatures(source.cloud, keypoints)
     pair = source.keypoints, target.keypoints
     matched = motion_from_keypoints(*pair, guess, params.camera, features, sweep, guess_known=guess_known)
-    share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
+    share = matched.inlier_share
     helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
     many = matched.num_inliers >= features.min_inliers_alone
+    many_matches = matched.num_matches >= features.min_inliers_alone
     start = _choose(helpful, matched.T_target_source, guess)
     if not config.use_surface:
         scale = _scale(params, source, target, start, matched, sweep)
@@ -110,7 +114,8 @@ def _register(
         agree=_agree(params, source, target, matched, T, sweep),
         surface_alone=_stands_alone(surface, _apart(guess, T), config),
         free=num_free > 0,
-        surface_allowed=allowed.surface,
+        # Of many matches that fit no motion some would fit the surface's, if that were right.
+        surface_allowed=jnp.asarray(allowed.surface) & (allowed.surface_against_keypoints | ~many_matches),
         motion_model_allowed=allowed.motion_model,
     )
     by_surface = rests_on_surface(evidence)

@@ -57,21 +57,21 @@ class KeypointRows(eqx.Module):
     weight: Float[Array, " K"]
 
     @property
-    def residual(self) -> Float[Array, " 3K"]:
+    def residual(self) -> Float[Array, " rows"]:
         """The residuals, row after row of the image's two and inverse depth."""
         return self.at.residual.reshape(-1)
 
     @property
-    def pose(self) -> Float[Array, "6 3K"]:
+    def pose(self) -> Float[Array, "6 rows"]:
         """Derivative of the residuals by the tangent of T_target_source."""
         return jnp.moveaxis(self.at.pose_jacobian, 1, 0).reshape(6, -1)
 
     @property
-    def weights(self) -> Float[Array, " 3K"]:
+    def weights(self) -> Float[Array, " rows"]:
         """Weights of the residuals."""
         return jnp.tile(self.weight, 3)
 
-    def by_points(self, rates: Float[Array, "3 K"]) -> Float[Array, " 3K"]:
+    def by_points(self, rates: Float[Array, "3 K"]) -> Float[Array, " rows"]:
         """Derivative of the residuals by something that moves the points.
 
         Args:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from sfgs_jax.geometry import Frame
 from sfgs_jax.sensors import colour_edges, depth_outlines, outline_agreement
-from sfgs_jax.slam.state._synchrony import FARTHEST_LAG, MAX_OUTLINES, Synchrony
+from sfgs_jax.slam.state._synchrony import EDGE_STEP, FARTHEST_LAG, MAX_OUTLINES, Synchrony
 
 _LEAST_FRAMES = 10
 """Frames below which nothing is said."""
@@ -40,34 +40,40 @@ def watched(synchrony: Synchrony, frame: Frame, max_lag: int) -> Synchrony:
     """
     if max_lag >= FARTHEST_LAG:
         return synchrony
-    factor = -(-frame.depth.shape[1] // synchrony.edges.shape[2])
-    rgb, depth = np.asarray(frame.rgb)[::factor, ::factor], np.asarray(frame.depth)[::factor, ::factor]
+    size = synchrony.edges.shape[:0:-1]
+    rgb, depth = (
+        cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_NEAREST)
+        for image in (frame.rgb, frame.depth)
+    )
     grey = np.clip(cv2.transform(rgb, np.full((1, 3), 255 / 3)), 0, 255).astype(np.uint8)
     depth = np.ascontiguousarray(np.where(np.isfinite(depth) & (depth > 0), depth, 0), np.float32)
     found = depth_outlines(depth)
     found = found[:: max(1, -(-len(found) // MAX_OUTLINES))]
     padded = np.pad(found, ((0, MAX_OUTLINES - len(found)), (0, 0)), constant_values=-1).astype(np.int16)
-    edges = colour_edges(grey).astype(np.float16)
+    found_edges = colour_edges(grey)
+    edges = np.rint((found_edges - found_edges.min()) / EDGE_STEP).astype(np.uint8)
 
-    known = np.concatenate([[len(found) > 0 and edges.any()], synchrony.known[:-1]])
+    known = np.concatenate([np.asarray([len(found) > 0 and edges.any()]), synchrony.known[:-1]])
     after = replace(
         synchrony,
         edges=np.concatenate([edges[None], synchrony.edges[:-1]]),
+        mean_edges=np.concatenate([np.asarray([edges.mean()], np.float32), synchrony.mean_edges[:-1]]),
         outlines=np.concatenate([padded[None], synchrony.outlines[:-1]]),
         known=known,
     )
     if not known.all():
         return after
-    late = outline_agreement(after.edges, after.outlines[:1])[0]
-    early = outline_agreement(after.edges[:1], after.outlines[1:])[:, 0]
-    row = np.concatenate([early[::-1], late]).astype(np.float32)
+    late = outline_agreement(after.edges, after.outlines[:1])[0] - after.mean_edges
+    early = outline_agreement(after.edges[:1], after.outlines[1:])[:, 0] - after.mean_edges[0]
+    row = (EDGE_STEP * np.concatenate([early[::-1], late])).astype(np.float32)
+    judged = min(synchrony.num_judged + 1, len(synchrony.agreements))
     agreements = np.concatenate([row[None], synchrony.agreements[:-1]])
-    return replace(after, agreements=agreements, lag=_lag(agreements, synchrony.lag, max_lag))
+    lag = _lag(agreements[:judged], synchrony.lag, max_lag)
+    return replace(after, agreements=agreements, num_judged=judged, lag=lag)
 
 
-def _lag(agreements: Float[np.ndarray, "f l"], before: int, max_lag: int) -> int:
+def _lag(rows: Float[np.ndarray, "f l"], before: int, max_lag: int) -> int:
     """The lag of depth by the newest frames; as before where they don't tell."""
-    rows = agreements[np.isfinite(agreements).all(axis=1)]
     if len(rows) < _LEAST_FRAMES:
         return before
     means = rows.mean(axis=0, dtype=np.float64)

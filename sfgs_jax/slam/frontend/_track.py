@@ -168,8 +168,9 @@ def lost_unseen(tracker: Tracker, elapsed: float) -> Tracker:
 
     Args:
         tracker: before the frame.
-        elapsed: seconds since the frame before; 0 if unknown.
+        elapsed: seconds since the frame before; not positive or not finite if unknown.
     """
+    elapsed = elapsed if 0 < elapsed < np.inf else 0
     since, lost = np.asarray(tracker.since_tracked), np.asarray(tracker.lost_in_a_row)
     after = np.asarray(since + elapsed, since.dtype), np.asarray(lost + 1, lost.dtype), np.asarray(False)
     return eqx.tree_at(
@@ -225,6 +226,7 @@ def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
     return Allowed(
         surface=recent | (not has_keypoints),
         motion_model=carried & tracker.has_motion,
+        surface_against_keypoints=tracker.lost_in_a_row == 0,
         doubtful_scale=tracker.doubtful_scale,
     )
 
@@ -336,17 +338,13 @@ def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
         before, found = state[0], _register_at(inputs, state[1])
         # Of what the attempts say about the scale of depth, the clearest is kept.
         clearer = abs(found.scale_change) * before.scale_sigma >= abs(before.scale_change) * found.scale_sigma
-        change, sigma = (
-            jnp.where(clearer, new, old) for new, old in zip(_scale(found), _scale(before), strict=True)
-        )
-        return eqx.tree_at(_scale, found, (change, sigma)), state[1] + 1
+        change = jnp.where(clearer, found.scale_change, before.scale_change)
+        sigma = jnp.where(clearer, found.scale_sigma, before.scale_sigma)
+        found = eqx.tree_at(lambda f: (f.scale_change, f.scale_sigma), found, (change, sigma))
+        return found, state[1] + 1
 
     found, attempts = lax.while_loop(unfinished, again, (blank, first))
     return found, attempts - 1
-
-
-def _scale(found: Registration) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    return found.scale_change, found.scale_sigma
 
 
 @_first_success.def_jvp

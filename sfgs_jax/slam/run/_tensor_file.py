@@ -15,7 +15,7 @@ from safetensors.numpy import save
 
 from sfgs_jax.arrays import InputError, excerpt, write_atomically
 
-_DTYPES = {"BOOL": "?", "U8": "<u1", "I32": "<i4", "I64": "<i8", "F32": "<f4", "F64": "<f8"}
+_DTYPES = {"BOOL": "?", "U8": "<u1", "I16": "<i2", "I32": "<i4", "I64": "<i8", "F32": "<f4", "F64": "<f8"}
 _LENGTH_BYTES = 8
 _KEY = "checksum"
 _DIGEST_BYTES = 16

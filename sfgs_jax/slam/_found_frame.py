@@ -1,0 +1,101 @@
+"""Pose of a frame by the tracker: whether its sensors agree, where it is, and how well that is known."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.geometry import Frame
+from sfgs_jax.slam.frontend import Found, TrackInfo, find_frame, lost_unseen, watched
+from sfgs_jax.slam.keyframes import motion_covariance, revisited
+from sfgs_jax.slam.state import PoseSource, SlamState, StepInfo, Tracker, lost_info
+
+
+class FoundFrame(NamedTuple):
+    """A frame that was looked for.
+
+    Attributes:
+        state: the run with the tracker after the frame; graph, log and map are as before.
+        found: where it was found, None if it was not.
+        info: the report, without what the graph adds.
+        covariance: (6, 6) of its pose in its reference; infinite if it was not found.
+    """
+
+    state: SlamState
+    found: Found | None
+    info: StepInfo
+    covariance: Float[np.ndarray, "6 6"]
+
+
+def find_pose(state: SlamState, frame: Frame, number: int) -> FoundFrame:
+    """Look for a frame.
+
+    Args:
+        state: the run so far.
+        frame: the next frame.
+        number: its number in its source.
+    """
+    params, graph, time = state.params, state.graph, float(frame.timestamp)
+    since = time - state.last_timestamp
+    before = state.tracker
+    synchrony = watched(state.synchrony, frame, params.config.max_depth_lag)
+    state = replace(state, synchrony=synchrony, next_frame=number + 1, last_timestamp=time)
+    if lag := synchrony.lag:
+        told = f"Depth comes {abs(lag)} frames {'late' if lag > 0 else 'early'} against colour."
+        return _lost(state, lost_unseen(before, since), told)
+    found = find_frame(params, before, frame, since, graph, state.config.graph)
+    found = revisited(params, found, graph, state.config.graph)
+    info = _info(found)
+    if not info.tracked:
+        return _lost(state, found.tracker, _contradiction(found.info, found.tracker), info)
+    covariance = _covariance(state, found)
+    begins = found.begins_map or not graph.keyframes
+    if not begins and np.sqrt(np.trace(covariance[:3, :3])) > params.config.max_position_sigma:
+        return _lost(state, lost_unseen(before, since), "", info)
+    return FoundFrame(replace(state, tracker=found.tracker), found, info, covariance)
+
+
+def _lost(state: SlamState, tracker: Tracker, told: str, info: StepInfo | None = None) -> FoundFrame:
+    state = replace(state, tracker=tracker, num_lost=state.num_lost + 1)
+    lost, unknown = lost_info(state.T_world_cam), np.diag(np.full(6, np.inf))
+    if info is not None:
+        # What was matched says why it was not enough.
+        names = ("inlier_fraction", "rmse", "num_matches", "num_inliers")
+        lost = lost._replace(**{name: getattr(info, name) for name in names})
+    return FoundFrame(state, None, lost._replace(contradiction=told), unknown)
+
+
+def _contradiction(info: TrackInfo, tracker: Tracker) -> str:
+    """Why a lost frame's depth is not believed; empty if nothing speaks against it."""
+    if not bool(tracker.doubtful_scale):
+        return ""
+    change = -100 * float(info.registration.scale_change)
+    word = "longer" if change > 0 else "shorter"
+    return f"Depth is about {abs(change):.0f} % {word} than in the frames before."
+
+
+def _covariance(state: SlamState, found: Found) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a pose in its reference. What the motion model gives is the less certain the longer."""
+    frames = max(1, int(found.tracker.motion_model_frames))
+    free_sigma = state.config.tracking.motion_model_sigma * frames**0.5
+    return motion_covariance(found.info.registration, state.graph.noise, free_sigma)
+
+
+def _info(ladder: Found) -> StepInfo:
+    """The report once a frame has been tracked; one transfer from the device."""
+    found, by = ladder.info, ladder.info.registration
+    wanted = (found.source, found.new_keyframe, by.inlier_fraction, by.rmse, by.matched.num_matches)
+    source, new_keyframe, fraction, rmse, matches, inliers = jax.device_get((*wanted, by.matched.num_inliers))
+    return lost_info(found.T_world_cam)._replace(
+        tracked=int(source) != PoseSource.LOST,
+        source=PoseSource(int(source)),
+        relocalised=ladder.by_looks,
+        new_keyframe=bool(new_keyframe),
+        new_map=ladder.begins_map,
+        inlier_fraction=float(fraction),
+        rmse=float(rmse),
+        num_matches=int(matches),
+        num_inliers=int(inliers),
+    )
