@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.arrays import FrameError, InputError, Text, excerpt, printed_fields
-from sfgs_jax.geometry import Camera, Frame, Trajectory
+from sfgs_jax.geometry import Camera, Frame, Trajectory, same_camera
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam._init import init
@@ -286,10 +286,7 @@ def run(
 
 
 def _check_resumed(run: Run, camera: Camera, config: SlamConfig) -> None:
-    same = camera.shape == run.state.camera.shape and np.allclose(
-        camera.matrix(), run.state.camera.matrix(), rtol=1e-6
-    )
-    if not same:
+    if not same_camera(camera, run.state.camera):
         raise InputError("The run was started with another camera; resume it with that one.")
     if config != run.config:
         raise InputError("The run was started with other settings; resume it with those.")
