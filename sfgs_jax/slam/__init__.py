@@ -46,6 +46,7 @@ from sfgs_jax.slam.run import load as load
 from sfgs_jax.slam.run import load_run as load_run
 from sfgs_jax.slam.run import locked_folder as locked_folder
 from sfgs_jax.slam.run import prepare_folder as prepare_folder
+from sfgs_jax.slam.run import refine as refine
 from sfgs_jax.slam.run import remove_storage as remove_storage
 from sfgs_jax.slam.run import resume_folder as resume_folder
 from sfgs_jax.slam.run import run as run

@@ -272,7 +272,7 @@ def run(
             _check_skipped(result)
         if not result.is_finished:
             _finish(result, worker)
-        _refine(result, observer)
+        refine(result, observer)
     except KeyboardInterrupt:
         result.interrupted = True
         mapping = worker.stop()
@@ -353,7 +353,13 @@ def _moved(mapping: MapState, state: SlamState) -> MapState:
     return follow_keyframes(mapping, state.graph.poses, state.row_times)
 
 
-def _refine(run: Run, observer: Observer) -> None:
+def refine(run: Run, observer: Observer = _ignore) -> None:
+    """Refine the map by its views, for as long as the settings say: what a run does after its last frame.
+
+    Args:
+        run: whose frames have ended; what of the refinement is done already is not done again.
+        observer: called after every step.
+    """
     config = run.config
     if not run.state.mapping.views:
         return
