@@ -1,20 +1,19 @@
-"""Two maps as one: the views of both, and the Gaussians of both where the first map lacks surface."""
+"""Two maps as one: the views of both, and the Gaussians of the second where the first lacks surface."""
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from sfgs_jax.arrays import doubled
-from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.geometry import Camera
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.mapping._map_update import step_on_view
+from sfgs_jax.slam.mapping._shared_surface import in_the_exposure_of, shared_surface
 from sfgs_jax.slam.state._gaussian_map import GaussianMap, empty_map, move
-from sfgs_jax.slam.state._map_state import MapState, View
-
-_NEAREST = 0.05
-"""Depth from which on a point has an image, metres."""
+from sfgs_jax.slam.state._map_state import MapState
+from sfgs_jax.splatting import rgb_to_sh, sh_to_rgb
 
 
 def joined_views(mapping: MapState, other: MapState, shift: int) -> MapState:
@@ -40,10 +39,9 @@ def joined_views(mapping: MapState, other: MapState, shift: int) -> MapState:
 def with_lacking_gaussians(
     mapping: MapState, other: MapState, camera: Camera, config: MappingConfig
 ) -> MapState:
-    """The map with those Gaussians of another one whose surface it lacks.
+    """The map with those Gaussians of another one whose surface it lacks, in its exposure.
 
-    A Gaussian lies on surface that the map has, if most of the views that show it say so. Only the other
-    map's own views are asked. It may become larger than `max_capacity`; then it grows no further.
+    The other map's own views are asked. The result may be larger than `max_capacity`; it grows no further.
 
     Args:
         mapping: with the views of both, and with all keyframes where they are now.
@@ -51,37 +49,22 @@ def with_lacking_gaussians(
         camera: of the views.
         config: settings.
     """
-    count, number = len(other.keyframe_poses), len(other.views)
-    first = len(mapping.keyframe_poses) - count
+    first = len(mapping.keyframe_poses) - len(other.keyframe_poses)
+    places = range(len(mapping.views) - len(other.views), len(mapping.views))
     moved = move(other.map, other.keyframe_poses, mapping.keyframe_poses[first:])
     means = np.asarray(moved.gaussians.means)
-    shown, had = np.zeros(len(means), int), np.zeros(len(means), int)
-    for place in range(len(mapping.views) - number, len(mapping.views)):
-        mapping, done = step_on_view(mapping, place, camera, config, learn=False)
-        on, pixels = _seen(mapping, mapping.views[place], means, camera, config.seeding.depth_margin)
-        shown[on] += 1
-        had[on] += ~np.asarray(done.missing)[pixels[:, 1], pixels[:, 0]]
-    lacking = np.asarray(moved.gaussians.valid) & (2 * had <= shown)
-    return replace(mapping, map=_together(mapping.map, moved, lacking, first, config.capacity))
+    mapping, shared, brighter = shared_surface(mapping, places, means, camera, config)
+    lacking = np.asarray(moved.gaussians.valid) & ~shared
+    together = _together(mapping.map, _brightened(moved, brighter), lacking, first, config.capacity)
+    return in_the_exposure_of(replace(mapping, map=together), places, brighter)
 
 
-def _seen(
-    mapping: MapState, view: View, points: Float[np.ndarray, "n 3"], camera: Camera, margin: float
-) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, "k 2"]]:
-    """Which points lie on the surface that a view measures, and their pixels (u, v)."""
-    tangent = np.asarray(view.correction, np.float64)[None]
-    T_keyframe_cam = np.asarray(view.T_keyframe_cam.wxyz_xyz)
-    keyframe, own = se3.matrices_of(np.stack([mapping.keyframe_poses[view.keyframe], T_keyframe_cam]))
-    T = keyframe @ own @ se3.exps_of(tangent)[0]
-    x, y, z = ((points - T[:3, 3]) @ T[:3, :3]).T
-    far = np.maximum(z, _NEAREST)
-    u = np.rint(float(camera.fx) * x / far + float(camera.cx))
-    v = np.rint(float(camera.fy) * y / far + float(camera.cy))
-    inside = np.flatnonzero((z > _NEAREST) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height))
-    pixels = np.stack([u[inside], v[inside]], axis=-1).astype(int)
-    depth = np.asarray(view.depth)[pixels[:, 1], pixels[:, 0]]
-    on = (depth > 0) & (np.abs(z[inside] - depth) < margin * depth)
-    return inside[on], pixels[on]
+def _brightened(gaussian_map: GaussianMap, factor: Float[np.ndarray, "3"]) -> GaussianMap:
+    sh = np.asarray(gaussian_map.gaussians.sh) * factor.astype(np.float32)
+    # The coefficient of degree 0 is a colour less its middle.
+    colour = sh_to_rgb(np.asarray(gaussian_map.gaussians.sh)[:, 0]) * factor
+    sh[:, 0] = rgb_to_sh(colour)
+    return eqx.tree_at(lambda m: m.gaussians.sh, gaussian_map, sh)
 
 
 def _together(
