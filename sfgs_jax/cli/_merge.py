@@ -36,9 +36,9 @@ class MergeArguments:
     """Merge the maps of two runs of one camera, which have a place in common, in one world."""
 
     first: tyro.conf.Positional[Path]
-    """Folder of a run with `--keep-map`; its world is that of the result."""
+    """Folder of a run whose map was kept; its world is that of the result."""
     second: tyro.conf.Positional[Path]
-    """Folder of another run with `--keep-map`, of the same camera and in the same place."""
+    """Folder of another run whose map was kept, by the same camera in the same place."""
     out: Path
     """New folder for the result."""
     refine: float | None = None

@@ -31,9 +31,9 @@ def merge(a: SlamState, b: SlamState) -> SlamState:
     same are registered, and the graph is adjusted as at the end of a run. Source: the merging of maps in
     ORB-SLAM3 (Campos et al., 2021), section VI.
 
-    The Gaussians follow their keyframes. Where the map of a has the surface already, those of b are left out;
-    the others get the exposure of a, by what both maps show. The map is not refined. What both runs told about
-    the camera's depth and the times of its rows is added up.
+    The Gaussians follow their keyframes. Those of b are left out where the map of a has the surface already.
+    The others get the exposure of a, by what both maps show. The map is not refined: `refine` does that. What
+    both runs told about the camera's depth and the times of its rows is added up.
 
     The frames of b come after those of a, with their own time stamps. `state.rows_by_recording` tells the
     recordings apart. The recordings are taken to be independent: neither began in the other's map. Another
