@@ -26,14 +26,14 @@ from sfgs_jax.slam.state import FrameLog, SlamState, shift_of_numbers, trajector
 def merge(a: SlamState, b: SlamState) -> SlamState:
     """The state of two runs in the world of the first, once places of the second are recognised in it.
 
-    The keyframes of b become another map of a. Those whose images look most like some of a are registered to
-    these, until `map_support` registrations agree on where that map lies. Then keyframes of both that see the
-    same are registered, and the graph is adjusted as at the end of a run. Source: the merging of maps in
-    ORB-SLAM3 (Campos et al., 2021), section VI.
+    The keyframes of b become another map of a. The pairs of keyframes whose images look most alike are
+    registered, until `map_support` registrations agree on where that map lies. Then keyframes of both that
+    see the same are registered, and the graph is adjusted as at the end of a run. Source: the merging of maps
+    in ORB-SLAM3 (Campos et al., 2021), section VI.
 
-    The Gaussians follow their keyframes. Those of b are left out where the map of a has the surface already.
-    The others get the exposure of a, by what both maps show. The map is not refined: `refine` does that. What
-    both runs told about the camera's depth and the times of its rows is added up.
+    The Gaussians follow their keyframes. If the map of a has a surface already, Gaussians of b on it are left
+    out. The others get the exposure of a, by the surface that both maps show. The map is not refined, which
+    `refine` does. Estimates of the camera's depth and of the times of its rows rest on both runs.
 
     The frames of b come after those of a, with their own time stamps. `state.rows_by_recording` tells the
     recordings apart. The recordings are taken to be independent: neither began in the other's map. Another

@@ -6,7 +6,8 @@ import numpy as np
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.state._keyframe_graph import Edge, Keyframe, KeyframeGraph, Landmarks
+from sfgs_jax.slam.keyframes._insertion import seen_from
+from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph, Landmarks
 from sfgs_jax.slam.state._maps import maps_of, next_origin
 
 Pairs = tuple[tuple[int, int], ...]
@@ -28,7 +29,7 @@ def joined_graphs(graph: KeyframeGraph, other: KeyframeGraph, shift: int) -> Key
     poses[:, 4] += next_origin(graph)
     after = tuple(_renumbered(keyframe, first, placed, shift) for keyframe in other.keyframes)
     edges = tuple(replace(e, target=e.target + first, source=e.source + first) for e in other.edges)
-    # Those that the poses hold already come first.
+    # The edges that the poses hold already come first.
     absorbed = (*graph.edges[: graph.num_absorbed], *edges[: other.num_absorbed])
     new = (*graph.edges[graph.num_absorbed :], *edges[other.num_absorbed :])
     moved = np.where(other.landmarks.keyframes < 0, -1, other.landmarks.keyframes + first)
@@ -87,13 +88,11 @@ def pairs_that_see_the_same(graph: KeyframeGraph, first: int, config: GraphConfi
     known = {(edge.target, edge.source) for edge in graph.edges}
     found: list[tuple[float, tuple[int, int]]] = []
     for source in range(first, len(graph.keyframes)):
-        distance = np.linalg.norm(T[:first, :3, 3] - T[source, :3, 3], axis=1)
-        angle = np.arccos(np.clip(T[:first, :3, 2] @ T[source, :3, 2], -1, 1))
-        near = (distance < config.neighbour_distance) & (angle < config.neighbour_angle)
+        near, apart = seen_from(T[:first], T[source], config)
         near &= maps[:first] == maps[source]
-        order = np.argsort(distance + angle, kind="stable")
-        chosen = [int(i) for i in order if near[i] and (int(i), source) not in known]
-        found += [(float(distance[i] + angle[i]), (i, source)) for i in chosen[: config.num_neighbours]]
+        order = [int(i) for i in np.argsort(apart, kind="stable") if near[i]]
+        chosen = [i for i in order if (i, source) not in known][: config.num_neighbours]
+        found += [(float(apart[i]), (i, source)) for i in chosen]
     return tuple(pair for _, pair in sorted(found))
 
 
@@ -106,13 +105,3 @@ def tied(graph: KeyframeGraph, first: int) -> bool:
     """
     maps = maps_of(graph)
     return not set(maps[:first].tolist()).isdisjoint(maps[first:].tolist())
-
-
-def edges_between(graph: KeyframeGraph, first: int) -> tuple[Edge, ...]:
-    """Edges between the keyframes of two recordings.
-
-    Args:
-        graph: with the keyframes of both.
-        first: number of the first keyframe of the second recording.
-    """
-    return tuple(edge for edge in graph.edges if (edge.target < first) != (edge.source < first))
