@@ -51,9 +51,7 @@ def merge(a: SlamState, b: SlamState) -> SlamState:
     a, b = _settled(a), _settled(b)
     first = len(a.graph.keyframes)
     state = _recognised(_joined(a, b), first)
-    pairs = pairs_that_see_the_same(state.graph, first, state.config.graph)
-    waiting = (pair for pair in state.graph.pending if pair not in pairs)
-    state = finish(replace(state, graph=replace(state.graph, pending=(*pairs, *waiting))))
+    state = finish(_with_neighbours(state, first))
     mapping = follow_trajectory(state.mapping, state.log, trajectory_of(state.log, state.graph))
     mapping = with_lacking_gaussians(mapping, b.mapping, state.mapping_camera, state.config.mapping)
     tracker = lost(state.tracker, len(state.graph.keyframes))
@@ -117,7 +115,7 @@ def _recognised(state: SlamState, first: int) -> SlamState:
         InputError: too few registrations agree.
     """
     config = state.config.graph
-    pairs = pairs_that_look_alike(state.graph, first, config)
+    pairs = pairs_that_look_alike(state.graph, first, config, most=config.num_neighbours)
     state = replace(state, graph=replace(state.graph, pending=(*state.graph.pending, *pairs)))
     while not tied(state.graph, first):
         if not state.graph.pending:
@@ -125,3 +123,13 @@ def _recognised(state: SlamState, first: int) -> SlamState:
         graph, _ = advance_graph(state.params, state.graph, config, grown=False)
         state = with_graph(state, graph)
     return with_graph(state, with_adjustment_taken(state.graph))
+
+
+def _with_neighbours(state: SlamState, first: int) -> SlamState:
+    """The state with the pairs of keyframes that are left to register now that all are in one world."""
+    graph, config = state.graph, state.config.graph
+    near = pairs_that_see_the_same(graph, first, config)
+    # A place far from where the recordings were tied may be off by more than neighbours are apart.
+    alike = pairs_that_look_alike(graph, first, config, most=config.loop_candidates)
+    loops = tuple(pair for pair in graph.pending if pair in alike and pair not in near)
+    return replace(state, graph=replace(graph, pending=near + loops))

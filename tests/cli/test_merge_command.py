@@ -1,12 +1,14 @@
 """`sfgs-jax merge`: a run folder out of two, and one sentence where that can't be made."""
 
 import dataclasses
+import inspect
 import json
 import shutil
 
 import numpy as np
 import pytest
 
+from sfgs_jax import slam
 from sfgs_jax.cli import main, read_config, to_json
 from sfgs_jax.geometry import read_tum
 from sfgs_jax.slam import GROUND_TRUTH_FILE, STORAGE, load_run
@@ -19,7 +21,15 @@ SMALL = [
     *("--tracking.gicp.levels", "1", "--graph.map-support", "2", "--no-evaluate", "--quiet"),
 ]
 
-pytestmark = pytest.mark.usefixtures("own_compilation_cache")
+pytestmark = pytest.mark.usefixtures("own_compilation_cache", "no_warm_up")
+
+
+@pytest.fixture(scope="module")
+def no_warm_up():
+    """Programs are compiled when they are called first, and some never are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(inspect.getmodule(slam.run), "warm_up", lambda camera, config: None)
+        yield
 
 
 def run(out, start, end, *options, source=ROOM):
@@ -28,7 +38,7 @@ def run(out, start, end, *options, source=ROOM):
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory, own_compilation_cache):
+def runs(tmp_path_factory, own_compilation_cache, no_warm_up):
     """Folder of two runs whose maps were kept."""
     folder = tmp_path_factory.mktemp("runs")
     assert run(folder / "monday", 0, 30, "--keep-map") == 0

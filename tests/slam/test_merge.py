@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from sfgs_jax import slam
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import SyntheticRecording
 from sfgs_jax.geometry import read_tum, se3
+from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.state import (
     DepthInformation,
     depth_prior,
@@ -244,3 +247,19 @@ def test_what_registrations_told_about_depth_adds_up(rng):
     np.testing.assert_allclose(found.estimate(prior), true, atol=1e-4)
     np.testing.assert_array_equal(found.start, start.start)
     assert (found.chi_square, found.expected) == (2.0, 4.0)
+
+
+def test_what_registrations_told_about_the_times_of_rows_adds_up(first, rng):
+    """Whatever each of the two sums started from."""
+    true, starts = np.asarray([0.01, 0.02, -0.01]), (np.zeros(3), np.asarray([0.03, -0.01, 0.02]))
+    told = []
+    for start in starts:
+        root = rng.standard_normal((3, 3))
+        information = 1e6 * (root @ root.T + np.eye(3))
+        sums = (information, information @ (true - start), np.asarray(1.0), np.asarray(2.0))
+        leaves = (jnp.asarray(value, jnp.float32) for value in sums)
+        told.append(jax.tree.unflatten(jax.tree.structure(first.tracker.timing), leaves))
+    found = told[0].joined(told[1], starts[1] - starts[0])
+    estimate = found.estimate(SensorTiming(), jnp.ones(3))
+    np.testing.assert_allclose(estimate.vector, true, atol=1e-4)
+    assert (float(found.chi_square), float(found.expected)) == (2.0, 4.0)

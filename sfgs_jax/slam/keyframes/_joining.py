@@ -59,17 +59,18 @@ def _renumbered(keyframe: Keyframe, first: int, placed: int, shift: int) -> Keyf
     )
 
 
-def pairs_that_look_alike(graph: KeyframeGraph, first: int, config: GraphConfig) -> Pairs:
+def pairs_that_look_alike(graph: KeyframeGraph, first: int, config: GraphConfig, *, most: int) -> Pairs:
     """Pairs of keyframes of two recordings whose images look alike, the most similar first.
 
     Args:
         graph: with the keyframes of both.
         first: number of the first keyframe of the second recording.
-        config: settings; each keyframe of the second recording is tried with few of the first.
+        config: settings.
+        most: pairs for each keyframe of the second recording.
     """
     signatures = np.stack([np.asarray(k.features.keypoints.signature) for k in graph.keyframes])
     alike = signatures[first:] @ signatures[:first].T
-    best = np.argsort(-alike, axis=1, kind="stable")[:, : config.loop_candidates]
+    best = np.argsort(-alike, axis=1, kind="stable")[:, :most]
     similarity = np.take_along_axis(alike, best, axis=1)
     rows, columns = np.nonzero(similarity > config.loop_similarity)
     order = np.argsort(-similarity[rows, columns], kind="stable")
