@@ -119,7 +119,10 @@ def _recognised(state: SlamState, first: int) -> SlamState:
     state = replace(state, graph=replace(state.graph, pending=(*state.graph.pending, *pairs)))
     while not tied(state.graph, first):
         if not state.graph.pending:
-            raise InputError("No place of the second run was recognised in the map of the first.")
+            raise InputError(
+                "No place of the second run was recognised in the map of the first: fewer than "
+                f"{config.map_support} registrations of their keyframes agree (map_support)."
+            )
         graph, _ = advance_graph(state.params, state.graph, config, grown=False)
         state = with_graph(state, graph)
     return with_graph(state, with_adjustment_taken(state.graph))

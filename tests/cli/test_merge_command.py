@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax import slam
-from sfgs_jax.cli import main, read_config, to_json
+from sfgs_jax.cli import main, merge_command, read_config, to_json
 from sfgs_jax.geometry import read_tum
 from sfgs_jax.slam import GROUND_TRUTH_FILE, STORAGE, load_run
 from sfgs_jax.slam.run import read_tensors, write_tensors
@@ -121,6 +121,18 @@ def test_bad_input_gets_one_sentence(runs, both, tmp_path, capsys):
     shutil.rmtree(other / STORAGE)
     assert "--keep-map" in refused(capsys, monday, other, *new)
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(("error", "status"), [(OSError(28, "No space left"), 1), (KeyboardInterrupt(), 130)])
+def test_nothing_is_left_of_a_result_that_could_not_be_written(error, status, runs, tmp_path, monkeypatch):
+    def write_run(run, folder):
+        (folder / "trajectory.txt").write_text("half")
+        raise error
+
+    monkeypatch.setattr(inspect.getmodule(merge_command), "write_run", write_run)
+    words = ["merge", str(runs / "monday"), str(runs / "tuesday"), "--out", str(tmp_path / "new"), "--quiet"]
+    assert main(words) == status
+    assert not list(tmp_path.iterdir())
 
 
 def test_runs_that_do_not_fit_are_refused(runs, tmp_path, capsys):

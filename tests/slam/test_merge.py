@@ -156,6 +156,21 @@ def test_a_third_run_is_merged_with_the_result(both, recorded, walk):
     assert np.linalg.norm(off, axis=1).max() < 0.02
 
 
+def test_maps_of_the_first_run_become_one_through_the_second(recorded, walk):
+    """The first run has two, with a jump between them; the second walks from one to the other."""
+    apart, way = [*range(0, 10, 2), *range(192, 213, 3)], [*range(201, 240, 3), *range(0, 8, 2)]
+    state = recorded(apart)
+    assert len(slam.Run(state).maps) == 2
+    merged = slam.merge(state, recorded(way))
+    (whole,) = slam.Run(merged).maps
+    lost = 2
+    assert [len(part.rows) for part in whole.recordings] == [len(apart) - lost, len(way)]
+    for part, numbers in zip(whole.recordings, (apart, way), strict=True):
+        places = np.round(30 * part.trajectory.timestamps).astype(int)
+        off = part.trajectory.positions - truth(walk, np.asarray(numbers)[places])[:, :3, 3]
+        assert np.linalg.norm(off, axis=1).max() < 0.02
+
+
 def test_another_recording_goes_on_in_the_result(both, walk):
     """The first frames are lost, until several in a row are recognised."""
     state, found = slam.new_session(both), []
