@@ -36,16 +36,16 @@ def merge(a: SlamState, b: SlamState) -> SlamState:
     `refine` does. Estimates of the camera's depth and of the times of its rows rest on both runs.
 
     The frames of b come after those of a, with their own time stamps. `state.rows_by_recording` tells the
-    recordings apart. The recordings are taken to be independent: neither began in the other's map. Another
-    recording goes on in the result by `new_session`, and a result may be merged with a third run.
+    recordings apart. Another recording goes on in the result by `new_session`, and a third run may be merged
+    with it.
 
     Args:
         a: after the last frame of a recording; the world is its own.
         b: after the last frame of another recording in the same place.
 
     Raises:
-        InputError: a state has no keyframes, cameras or settings differ, loops are switched off, or no place
-            of b was recognised in a.
+        InputError: a state has no keyframes, cameras or settings differ, loops are switched off, one run
+            began in the map of the other, or no place of b was recognised in a.
     """
     _check(a, b)
     a, b = _settled(a), _settled(b)
@@ -68,6 +68,9 @@ def _check(a: SlamState, b: SlamState) -> None:
         raise InputError("The runs were made with different settings; only runs with the same can be merged.")
     if not (a.config.graph.enabled and a.config.graph.loops):
         raise InputError("The runs were made without loops, and only loops can tie their maps to each other.")
+    signatures = ([k.features.keypoints.signature for k in state.graph.keyframes] for state in (a, b))
+    if all(np.array_equal(*pair) for pair in zip(*signatures, strict=False)):
+        raise InputError("One run is the other, or began in its map, so that both are in one world already.")
 
 
 def _settled(state: SlamState) -> SlamState:

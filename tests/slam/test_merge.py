@@ -243,6 +243,9 @@ def test_states_that_do_not_fit_are_refused(first, second, walk, config):
     without = replace(config, graph=replace(config.graph, loops=False))
     with pytest.raises(InputError, match="without loops"):
         slam.merge(*(replace(state, config=without) for state in (first, second)))
+    for pair in ((first, first), (first, slam.new_session(first)), (slam.new_session(first), first)):
+        with pytest.raises(InputError, match="both are in one world already"):
+            slam.merge(*pair)
     # The refinement after the last frame may differ.
     longer = replace(config, mapping=replace(config.mapping, final_steps=7))
     assert slam.merge(first, replace(second, config=longer)).config == config
