@@ -27,6 +27,8 @@ from sfgs_jax.cli._export import export_command as export_command
 from sfgs_jax.cli._main import COMMANDS as COMMANDS
 from sfgs_jax.cli._main import Command as Command
 from sfgs_jax.cli._main import main as main
+from sfgs_jax.cli._merge import MergeArguments as MergeArguments
+from sfgs_jax.cli._merge import merge_command as merge_command
 from sfgs_jax.cli._outcome import failure_of as failure_of
 from sfgs_jax.cli._outcome import scale_warning as scale_warning
 from sfgs_jax.cli._progress import Reporter as Reporter

@@ -13,6 +13,7 @@ from sfgs_jax.cli._check import check_command
 from sfgs_jax.cli._doctor import doctor_command
 from sfgs_jax.cli._evaluate import eval_command
 from sfgs_jax.cli._export import export_command
+from sfgs_jax.cli._merge import merge_command
 from sfgs_jax.cli._render import render_command
 from sfgs_jax.cli._run import run_command
 from sfgs_jax.cli._view import view_command
@@ -29,6 +30,7 @@ COMMANDS = {
     "check": Command(check_command, "look for what would spoil a run of a recording"),
     "run": Command(run_command, "track and map a recording"),
     "batch": Command(batch_command, "track and map the recordings of a list, several at once"),
+    "merge": Command(merge_command, "merge the maps of two runs of one camera"),
     "eval": Command(eval_command, "compute a run's metrics and report again"),
     "view": Command(view_command, "show a run's map in the browser"),
     "render": Command(render_command, "draw a map along a path: images, depth or a video"),

@@ -3,6 +3,7 @@
 from sfgs_jax.geometry import se3 as se3
 from sfgs_jax.geometry._camera import Camera as Camera
 from sfgs_jax.geometry._camera import require_camera as require_camera
+from sfgs_jax.geometry._camera import same_camera as same_camera
 from sfgs_jax.geometry._camera_paths import orbit as orbit
 from sfgs_jax.geometry._camera_paths import smoothed as smoothed
 from sfgs_jax.geometry._depth_registration import register_depth as register_depth

@@ -127,6 +127,16 @@ class Camera(eqx.Module):
         )
 
 
+def same_camera(a: Camera, b: Camera) -> bool:
+    """Whether two cameras have images of one size and the same intrinsics, to a millionth.
+
+    Args:
+        a: camera.
+        b: camera.
+    """
+    return a.shape == b.shape and bool(np.allclose(a.matrix(), b.matrix(), rtol=1e-6))
+
+
 def require_camera(camera: Camera) -> None:
     """Refuse anything but a camera.
 

@@ -5,6 +5,7 @@ Users need the names of this package. Its folders export the pieces for those wh
 
 from sfgs_jax.slam._graph_results import finish as finish
 from sfgs_jax.slam._init import init as init
+from sfgs_jax.slam._merge import merge as merge
 from sfgs_jax.slam._new_session import new_session as new_session
 from sfgs_jax.slam._presets import PRESETS as PRESETS
 from sfgs_jax.slam.config import FeaturesConfig as FeaturesConfig
@@ -45,6 +46,7 @@ from sfgs_jax.slam.run import load as load
 from sfgs_jax.slam.run import load_run as load_run
 from sfgs_jax.slam.run import locked_folder as locked_folder
 from sfgs_jax.slam.run import prepare_folder as prepare_folder
+from sfgs_jax.slam.run import refine as refine
 from sfgs_jax.slam.run import remove_storage as remove_storage
 from sfgs_jax.slam.run import resume_folder as resume_folder
 from sfgs_jax.slam.run import run as run

@@ -31,8 +31,7 @@ def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState
     if not state.graph.keyframes:
         raise InputError("A map without keyframes has no place where another recording could go on.")
     config = config or state.config
-    ending = {name: getattr(config.mapping, name) for name in ("final_steps", "final_seconds")}
-    if replace(state.config, mapping=replace(state.config.mapping, **ending)) != config:
+    if not same_but_refinement(state.config, config):
         raise InputError("The map was made with other settings; a recording goes on in it with the same.")
     state = finish(state)
     # Whole cycles, so that the same frames as before count as held out.
@@ -42,7 +41,7 @@ def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState
     return replace(
         state,
         config=config,
-        tracker=_lost(state.tracker, len(keyframes)),
+        tracker=lost(state.tracker, len(keyframes)),
         graph=replace(state.graph, keyframes=keyframes),
         mapping=replace(state.mapping, views=views),
         log=empty_log(),
@@ -54,7 +53,23 @@ def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState
     )
 
 
-def _lost(tracker: Tracker, num_keyframes: int) -> Tracker:
-    """The tracker without a pose and without references."""
+def same_but_refinement(a: SlamConfig, b: SlamConfig) -> bool:
+    """Whether settings are the same, but for the length of the refinement after the last frame.
+
+    Args:
+        a: settings.
+        b: settings.
+    """
+    ending = {name: getattr(b.mapping, name) for name in ("final_steps", "final_seconds")}
+    return replace(a, mapping=replace(a.mapping, **ending)) == b
+
+
+def lost(tracker: Tracker, num_keyframes: int) -> Tracker:
+    """The tracker without a pose and without references.
+
+    Args:
+        tracker: before.
+        num_keyframes: keyframes of the graph.
+    """
     count = jax.device_put(np.asarray(num_keyframes, np.int32))
     return eqx.tree_at(lambda t: t.num_keyframes, without_pose(tracker), count)

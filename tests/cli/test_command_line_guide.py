@@ -15,6 +15,7 @@ from sfgs_jax.cli import (
     CheckArguments,
     EvalArguments,
     ExportArguments,
+    MergeArguments,
     RenderArguments,
     RunOptions,
     ViewArguments,
@@ -54,7 +55,7 @@ def test_options_of_other_pages_exist(page, capsys):
     assert checked >= 3
 
 
-@pytest.mark.parametrize("command", ["check", "run", "batch", "eval", "view", "render", "export"])
+@pytest.mark.parametrize("command", ["check", "run", "batch", "merge", "eval", "view", "render", "export"])
 def test_every_option_it_names_exists(command, capsys):
     # A group of options is written --reader.*
     named = set(re.findall(r"(--[a-z][a-z.-]*[a-z])(?![a-z.-]*\.\*)", section(command)))
@@ -72,6 +73,7 @@ def test_every_option_it_names_exists(command, capsys):
         ("check", CheckArguments),
         ("run", RunOptions),
         ("batch", BatchArguments),
+        ("merge", MergeArguments),
         ("eval", EvalArguments),
         ("view", ViewArguments),
         ("render", RenderArguments),
@@ -83,7 +85,16 @@ def test_no_option_is_left_out(command, kind):
     for field in dataclasses.fields(kind):
         name = field.name.replace("_", "-")
         shown = any(f"`--{form}`" in text for form in (name, f"no-{name}"))
-        assert shown or name in ("folder", "path", "source", "out", "slam", "reader"), name
+        assert shown or name in (
+            "folder",
+            "path",
+            "source",
+            "first",
+            "second",
+            "out",
+            "slam",
+            "reader",
+        ), name
 
 
 def test_every_command_shown_is_one():

@@ -17,6 +17,7 @@ from sfgs_jax.cli import (
     DoctorArguments,
     EvalArguments,
     ExportArguments,
+    MergeArguments,
     RenderArguments,
     RunOptions,
     ViewArguments,
@@ -27,6 +28,7 @@ SETTINGS = {
     "check": CheckArguments,
     "run": RunOptions,
     "batch": BatchArguments,
+    "merge": MergeArguments,
     "eval": EvalArguments,
     "view": ViewArguments,
     "render": RenderArguments,
@@ -36,6 +38,7 @@ SETTINGS = {
 POSITIONAL = {
     "check": {"source"},
     "batch": {"path"},
+    "merge": {"first", "second"},
     "eval": {"folder"},
     "view": {"path"},
     "render": {"path"},

@@ -27,7 +27,7 @@ class Interruption:
     def __call__(self, frame: FrameType, event: str, argument: Any) -> Callable | None:
         if Path(frame.f_code.co_filename).name != Path(str(DRIVER.__file__)).name:
             return None
-        return self.count if frame.f_code.co_name in ("_advance", "_finish", "_refine") else None
+        return self.count if frame.f_code.co_name in ("_advance", "_finish", "refine") else None
 
     def count(self, frame: FrameType, event: str, argument: Any) -> Callable:
         if event == "line":

@@ -13,12 +13,9 @@ from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._track import TrackInfo, track
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._maps import next_origin
 from sfgs_jax.slam.state._tracker import Suspicion, Tracker, TrackerParams, empty_tracker
 from sfgs_jax.superfeats import mean_grey
-
-_SPACING = 100.0
-"""Distance between the origins of maps that nothing ties to each other, metres. It is larger than a room, and
-float32 still keeps hundredths of a millimetre there."""
 
 
 def with_unknown_place(
@@ -59,7 +56,7 @@ def begin_map(
     if not bool(info.new_keyframe):
         return tracker, info
     pose = np.asarray([1, 0, 0, 0, 0, 0, 0], graph.poses.dtype)
-    pose[4] = _SPACING * (1 + np.floor(graph.poses[:, 4].max() / _SPACING))
+    pose[4] = next_origin(graph)
     number, slot = len(graph.keyframes), int(begun.current)
     poses, keyframes = np.array(begun.reference_poses), np.array(begun.reference_keyframes)
     poses[slot], keyframes[slot] = pose, number

@@ -24,6 +24,10 @@ from sfgs_jax.slam.keyframes._insertion import first_keyframe as first_keyframe
 from sfgs_jax.slam.keyframes._insertion import insert_keyframe as insert_keyframe
 from sfgs_jax.slam.keyframes._insertion import neighbours as neighbours
 from sfgs_jax.slam.keyframes._insertion import with_new_keyframes as with_new_keyframes
+from sfgs_jax.slam.keyframes._joining import joined_graphs as joined_graphs
+from sfgs_jax.slam.keyframes._joining import pairs_that_look_alike as pairs_that_look_alike
+from sfgs_jax.slam.keyframes._joining import pairs_that_see_the_same as pairs_that_see_the_same
+from sfgs_jax.slam.keyframes._joining import tied as tied
 from sfgs_jax.slam.keyframes._landmarks import positions as positions
 from sfgs_jax.slam.keyframes._landmarks import with_positions as with_positions
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops as accept_consistent_loops

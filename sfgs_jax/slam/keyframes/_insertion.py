@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jaxlie
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
@@ -186,13 +186,27 @@ def neighbours(graph: KeyframeGraph, config: GraphConfig) -> tuple[tuple[int, in
     poses = se3.matrices_of(graph.poses)
     newest = len(poses) - 1
     known = {edge.target for edge in graph.edges if edge.source == newest}
-    distance = np.linalg.norm(poses[:newest, :3, 3] - poses[newest, :3, 3], axis=1)
-    angle = np.arccos(np.clip(poses[:newest, :3, 2] @ poses[newest, :3, 2], -1, 1))
     maps = maps_of(graph)
-    near = (distance < config.neighbour_distance) & (angle < config.neighbour_angle)
+    near, apart = seen_from(poses[:newest], poses[newest], config)
     near &= maps[:newest] == maps[newest]
     if not config.loops:
         near &= newest - np.arange(newest) <= config.loop_gap
-    order = np.argsort(distance + angle, kind="stable")
+    order = np.argsort(apart, kind="stable")
     chosen = [int(i) for i in order if near[i] and int(i) not in known][: config.num_neighbours]
     return tuple((i, newest) for i in chosen)
+
+
+def seen_from(
+    poses: Float[np.ndarray, "n 4 4"], pose: Float[np.ndarray, "4 4"], config: GraphConfig
+) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Which cameras are near another and look the same way, and how far apart they are, metres plus radians.
+
+    Args:
+        poses: `T_world_cam` of n cameras.
+        pose: of the other one.
+        config: settings.
+    """
+    distance = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1)
+    angle = np.arccos(np.clip(poses[:, :3, 2] @ pose[:3, 2], -1, 1))
+    near = (distance < config.neighbour_distance) & (angle < config.neighbour_angle)
+    return near, distance + angle

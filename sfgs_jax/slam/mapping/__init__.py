@@ -1,5 +1,7 @@
 """The Gaussian map at work: views, seeding, map steps, and the thread that does them."""
 
+from sfgs_jax.slam.mapping._joining import joined_views as joined_views
+from sfgs_jax.slam.mapping._joining import with_lacking_gaussians as with_lacking_gaussians
 from sfgs_jax.slam.mapping._map_step import MapParams as MapParams
 from sfgs_jax.slam.mapping._map_step import MapStep as MapStep
 from sfgs_jax.slam.mapping._map_step import map_step as map_step

@@ -6,6 +6,7 @@ from sfgs_jax.slam.run._driver import Run as Run
 from sfgs_jax.slam.run._driver import TooManySkipped as TooManySkipped
 from sfgs_jax.slam.run._driver import combined as combined
 from sfgs_jax.slam.run._driver import load_run as load_run
+from sfgs_jax.slam.run._driver import refine as refine
 from sfgs_jax.slam.run._driver import run as run
 from sfgs_jax.slam.run._driver import save_run as save_run
 from sfgs_jax.slam.run._folder_lock import locked_folder as locked_folder

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.arrays import FrameError, InputError, Text, excerpt, printed_fields
-from sfgs_jax.geometry import Camera, Frame, Trajectory
+from sfgs_jax.geometry import Camera, Frame, Trajectory, same_camera
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam._init import init
@@ -272,7 +272,7 @@ def run(
             _check_skipped(result)
         if not result.is_finished:
             _finish(result, worker)
-        _refine(result, observer)
+        refine(result, observer)
     except KeyboardInterrupt:
         result.interrupted = True
         mapping = worker.stop()
@@ -286,10 +286,7 @@ def run(
 
 
 def _check_resumed(run: Run, camera: Camera, config: SlamConfig) -> None:
-    same = camera.shape == run.state.camera.shape and np.allclose(
-        camera.matrix(), run.state.camera.matrix(), rtol=1e-6
-    )
-    if not same:
+    if not same_camera(camera, run.state.camera):
         raise InputError("The run was started with another camera; resume it with that one.")
     if config != run.config:
         raise InputError("The run was started with other settings; resume it with those.")
@@ -356,7 +353,13 @@ def _moved(mapping: MapState, state: SlamState) -> MapState:
     return follow_keyframes(mapping, state.graph.poses, state.row_times)
 
 
-def _refine(run: Run, observer: Observer) -> None:
+def refine(run: Run, observer: Observer = _ignore) -> None:
+    """Refine the map by its views, for as long as the settings say: what a run does after its last frame.
+
+    Args:
+        run: whose frames have ended; what of the refinement is done already is not done again.
+        observer: called after every step.
+    """
     config = run.config
     if not run.state.mapping.views:
         return

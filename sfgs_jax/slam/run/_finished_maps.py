@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from sfgs_jax.geometry import Trajectory, se3
-from sfgs_jax.slam.state import SlamState, frames_by_map, maps_of, move
+from sfgs_jax.slam.state import SlamState, frames_by_map, maps_of, move, rows_by_recording
 from sfgs_jax.splatting import Gaussians
 
 
@@ -24,6 +24,12 @@ class FinishedMap:
     state: SlamState
     first: int
     rows: Int[np.ndarray, " n"]
+
+    @property
+    def recordings(self) -> tuple["FinishedMap", ...]:
+        """The map with the frames of each recording alone; one, unless runs were merged."""
+        parts = [np.intersect1d(self.rows, rows) for rows in rows_by_recording(self.state.log)]
+        return tuple(replace(self, rows=rows) for rows in parts if len(rows)) or (self,)
 
     @property
     def trajectory(self) -> Trajectory:

@@ -66,7 +66,7 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
         remove_unfinished(folder, *OUTPUT_FILES, GROUND_TRUTH_FILE)
         for name in (*OUTPUT_FILES, GROUND_TRUTH_FILE):
             (folder / name).unlink(missing_ok=True)
-        for path in _files_of_maps(folder, from_number=2):
+        for path in (*_files_of_maps(folder, from_number=2), *folder.glob("*_recording_[0-9]*.txt")):
             path.unlink(missing_ok=True)
         # A view of an earlier run would be taken for one of this run.
         _remove_storage(folder / STORAGE)
@@ -148,8 +148,9 @@ def write_run(run: Run, folder: Path) -> None:
     """
     write_trajectories(run, folder)
     largest, *others = run.maps
-    if largest.gains is not None:
-        gains = format_gains(largest.trajectory.timestamps, largest.gains)
+    own = largest.recordings[0]
+    if own.gains is not None:
+        gains = format_gains(own.trajectory.timestamps, own.gains)
         write_atomically(folder / EXPOSURE_FILE, gains)
     write_sensors(run.state, folder / SENSOR_FILE)
     write_atomically(folder / "metrics.json", json.dumps(run_metrics(run), indent=2) + "\n")
@@ -162,12 +163,20 @@ def write_trajectories(run: Run, folder: Path) -> None:
     """Write the paths and the covariances; cheap enough to be done again and again during a run.
 
     The files are of the largest map. The others have a `trajectory_N.txt` each, from N = 2 on.
+
+    Where runs were merged, these files hold the frames of the first recording, which is the one that the
+    settings name. The frames of another are in `trajectory_recording_N.txt`, and those that the map was made
+    from in `keyframes_recording_N.txt`, from N = 2 on. They are in the same world, by their own times.
     """
     largest, *others = run.maps
-    found = largest.trajectory
+    own, *joined = largest.recordings
+    found = own.trajectory
     write_atomically(folder / "trajectory.txt", format_tum(found))
-    write_atomically(folder / COVARIANCE_FILE, format_covariances(found.timestamps, largest.covariances))
-    write_atomically(folder / "keyframes.txt", format_tum(largest.keyframe_trajectory))
+    write_atomically(folder / COVARIANCE_FILE, format_covariances(found.timestamps, own.covariances))
+    write_atomically(folder / "keyframes.txt", format_tum(own.keyframe_trajectory))
+    for number, part in enumerate(joined, start=2):
+        write_atomically(folder / f"trajectory_recording_{number}.txt", format_tum(part.trajectory))
+        write_atomically(folder / f"keyframes_recording_{number}.txt", format_tum(part.keyframe_trajectory))
     for number, other in enumerate(others, start=2):
         write_atomically(folder / f"trajectory_{number}.txt", format_tum(other.trajectory))
     # Maps that were written at an earlier call may have become one since.

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sfgs_jax.arrays import InputError, make_folder, sync_folder
-from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.geometry import Camera, same_camera, se3
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import feature_shapes
@@ -104,7 +104,7 @@ def load(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -
         raise InputError(f"{folder} holds a state that was saved with other settings.")
     template = _template(metadata, config)
     rest = _filled(template, tensors, folder)
-    if camera is not None and not _same_camera(camera, rest.camera):
+    if camera is not None and not same_camera(camera, rest.camera):
         raise InputError(f"{folder} holds a state that was saved with another camera.")
     shapes = feature_shapes(rest.params)
     keyframes = tuple(
@@ -315,10 +315,6 @@ def _like(value: np.ndarray, kind: Any) -> Any:
     copy = np.array(value)
     # Put on the device as it is: `jnp.asarray` would compile a program for each shape.
     return copy if isinstance(kind, np.ndarray) else jax.device_put(copy)
-
-
-def _same_camera(a: Camera, b: Camera) -> bool:
-    return a.shape == b.shape and bool(np.allclose(a.matrix(), b.matrix(), rtol=1e-6))
 
 
 def _config_text(config: SlamConfig) -> str:

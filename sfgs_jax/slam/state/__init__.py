@@ -28,6 +28,9 @@ from sfgs_jax.slam.state._map_state import empty_map_state as empty_map_state
 from sfgs_jax.slam.state._maps import first_keyframes as first_keyframes
 from sfgs_jax.slam.state._maps import frames_by_map as frames_by_map
 from sfgs_jax.slam.state._maps import maps_of as maps_of
+from sfgs_jax.slam.state._maps import next_origin as next_origin
+from sfgs_jax.slam.state._recordings import rows_by_recording as rows_by_recording
+from sfgs_jax.slam.state._recordings import shift_of_numbers as shift_of_numbers
 from sfgs_jax.slam.state._registration import FeatureRegistration as FeatureRegistration
 from sfgs_jax.slam.state._registration import PoseSource as PoseSource
 from sfgs_jax.slam.state._registration import Registration as Registration

@@ -64,6 +64,20 @@ class DepthInformation:
             self.expected + count,
         )
 
+    def joined(self, other: "DepthInformation") -> "DepthInformation":
+        """The sum with that of other registrations of the same camera; the start stays.
+
+        Args:
+            other: sum over these, which may have another start.
+        """
+        return DepthInformation(
+            self.start,
+            self.information + other.information,
+            self.vector + other.vector + other.information @ (other.start - self.start),
+            self.chi_square + other.chi_square,
+            self.expected + other.expected,
+        )
+
     def estimate(self, prior: "DepthPrior") -> Float[np.ndarray, " G"]:
         """(G,) most likely offsets, 1/m.
 

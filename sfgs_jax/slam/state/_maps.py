@@ -12,6 +12,19 @@ from scipy.sparse.csgraph import connected_components
 from sfgs_jax.slam.state._frame_log import FrameLog
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 
+_SPACING = 100.0
+"""Distance between the origins of maps that nothing ties to each other, metres. It is larger than a room, and
+float32 still keeps hundredths of a millimetre there."""
+
+
+def next_origin(graph: KeyframeGraph) -> float:
+    """Place on the x axis where another map begins, apart from those of a graph; metres.
+
+    Args:
+        graph: with at least one keyframe.
+    """
+    return float(_SPACING * (1 + np.floor(graph.poses[:, 4].max() / _SPACING)))
+
 
 def maps_of(graph: KeyframeGraph) -> Int[np.ndarray, " n"]:
     """The map of each keyframe, named by the number of its first keyframe.

@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
@@ -69,6 +70,18 @@ class TimingInformation(eqx.Module):
             self.chi_square + surprise,
             self.expected + jnp.sum(inverse * told),
         )
+
+    def joined(self, other: "TimingInformation", ahead: Float[np.ndarray, "3"]) -> "TimingInformation":
+        """The sum with that of other registrations of the same camera, on the host.
+
+        Args:
+            other: sum over these.
+            ahead: (3,) times that the other sum started from, less those that this one started from, seconds.
+        """
+        mine, theirs = (jax.tree.map(np.asarray, told) for told in (self, other))
+        vector = mine.vector + theirs.vector + theirs.information @ ahead.astype(mine.vector.dtype)
+        told = jax.tree.map(np.add, mine, theirs)
+        return jax.device_put(eqx.tree_at(lambda t: t.vector, told, vector))
 
     def _scaled(self, sigmas: Float[Array, "3"], excess: Float[Array, ""]) -> Float[Array, "3 3"]:
         """Information with the prior's, in the prior's standard deviations."""

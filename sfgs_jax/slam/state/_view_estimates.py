@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from sfgs_jax.slam.state._frame_log import FrameLog
 from sfgs_jax.slam.state._map_state import View
+from sfgs_jax.slam.state._recordings import rows_by_recording
 
 
 def gains_of(log: FrameLog, views: tuple[View, ...]) -> Float[np.ndarray, "n 3"]:
@@ -56,6 +57,14 @@ def _logged(log: FrameLog, views: Sequence[View]) -> tuple[View, ...]:
 def _in_time(
     log: FrameLog, views: Sequence[View], values: Float[np.ndarray, "v k"]
 ) -> Float[np.ndarray, "n k"]:
-    """Values of the views at the times of the log's frames."""
-    times = log.timestamps[log.positions([view.frame for view in views])]
-    return np.stack([np.interp(log.timestamps, times, column) for column in values.T], axis=-1)
+    """Values of the views at the times of the log's frames; 0 for a recording without views.
+
+    Each recording has a time of its own.
+    """
+    at, found = log.positions([view.frame for view in views]), np.zeros((len(log.numbers), values.shape[1]))
+    for rows in rows_by_recording(log):
+        own = np.isin(at, rows)
+        if own.any():
+            times, now = log.timestamps[at[own]], log.timestamps[rows]
+            found[rows] = np.stack([np.interp(now, times, column) for column in values[own].T], axis=-1)
+    return found
