@@ -1,5 +1,7 @@
 """Pose of a frame: features, joint registration, judgement, tracking, localisation of lost frames."""
 
+from sfgs_jax.slam.frontend._depth_scale import depth_scale_change as depth_scale_change
+from sfgs_jax.slam.frontend._depth_scatter import is_noise as is_noise
 from sfgs_jax.slam.frontend._feature_registration import motion_from_keypoints as motion_from_keypoints
 from sfgs_jax.slam.frontend._feature_registration import num_explained as num_explained
 from sfgs_jax.slam.frontend._frame_features import feature_shapes as feature_shapes
