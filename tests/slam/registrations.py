@@ -23,7 +23,6 @@ def registration(
         inliers=jnp.zeros(4, bool),
         num_matches=jnp.asarray(2 * inliers),
         num_inliers=jnp.asarray(inliers),
-        inlier_share=jnp.asarray(0.5),
     )
     return Registration(
         T_target_source=T,

@@ -69,8 +69,7 @@ def motion_from_keypoints(
     if slots == 0:
         # Features are switched off.
         nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
-        zero = jnp.zeros(())
-        return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none, zero)
+        return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
     matches = match(
         source.features,
         target.features,
@@ -103,7 +102,6 @@ def motion_from_keypoints(
         inliers,
         num_matches,
         jnp.sum(inliers, dtype=jnp.int32),
-        jnp.sum(jnp.where(inliers, shares, 0)) / jnp.maximum(jnp.sum(shares), 1),
     )
 
 

@@ -28,15 +28,16 @@ class Allowed(NamedTuple):
     Attributes:
         surface: whether the surface alone may give the pose.
         motion_model: whether the motion model may fill the directions that the surface leaves free.
-        surface_against_keypoints: whether the surface alone may give it although many keypoints match and fit
-            no motion. Not of a camera that was lost, which may be anywhere.
+        near_guess: whether the camera was seen in the frame before. One that was lost may be anywhere, and
+            a few matches agree in many places. Then few keypoints count for nothing, and the surface alone
+            gives no pose where many keypoints match and fit no motion.
         doubtful_scale: whether the sensor seems to have changed its scale of depth. Then nothing is believed
             but what shows the scale to be the same.
     """
 
     surface: Bool[Array, ""] | bool = True
     motion_model: Bool[Array, ""] | bool = True
-    surface_against_keypoints: Bool[Array, ""] | bool = True
+    near_guess: Bool[Array, ""] | bool = True
     doubtful_scale: Bool[Array, ""] | bool = False
 
 
@@ -88,7 +89,7 @@ def _register(
         source = FrameFeatures(source.cloud, keypoints)
     pair = source.keypoints, target.keypoints
     matched = motion_from_keypoints(*pair, guess, params.camera, features, sweep, guess_known=guess_known)
-    share = matched.inlier_share
+    share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
     helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
     many = matched.num_inliers >= features.min_inliers_alone
     many_matches = matched.num_matches >= features.min_inliers_alone
@@ -103,8 +104,9 @@ def _register(
     fraction = surface.inlier_fraction / jnp.maximum(1 - surface.unmeasured, 1e-3)
     fits = fraction >= config.min_inlier_fraction
     num_free = jnp.sum(surface.free)
+    keypoints = helpful & (allowed.near_guess | many)
     # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
-    keypoints = helpful & ((num_free == 0) | (share >= features.min_inlier_share_alone) | ~fits)
+    keypoints &= (num_free == 0) | (share >= features.min_inlier_share_alone) | ~fits
     T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
     fits &= jnp.all(jnp.isfinite(T.wxyz_xyz))
     evidence = Evidence(
@@ -114,8 +116,7 @@ def _register(
         agree=_agree(params, source, target, matched, T, sweep),
         surface_alone=_stands_alone(surface, _apart(guess, T), config),
         free=num_free > 0,
-        # Of many matches that fit no motion some would fit the surface's, if that were right.
-        surface_allowed=jnp.asarray(allowed.surface) & (allowed.surface_against_keypoints | ~many_matches),
+        surface_allowed=jnp.asarray(allowed.surface) & (allowed.near_guess | ~many_matches),
         motion_model_allowed=allowed.motion_model,
     )
     by_surface = rests_on_surface(evidence)

@@ -226,7 +226,7 @@ def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
     return Allowed(
         surface=recent | (not has_keypoints),
         motion_model=carried & tracker.has_motion,
-        surface_against_keypoints=tracker.lost_in_a_row == 0,
+        near_guess=tracker.lost_in_a_row == 0,
         doubtful_scale=tracker.doubtful_scale,
     )
 

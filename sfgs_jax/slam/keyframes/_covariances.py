@@ -16,10 +16,13 @@ def motion_covariance(found: Registration, noise: EdgeNoise, free_sigma: float) 
         noise: of the registrations of the run.
         free_sigma: standard deviation where nothing but the motion model tells, metres and radians.
     """
-    told = np.asarray(found.surface_information, np.float64) + np.eye(6) / free_sigma**2
+    told = np.asarray(found.surface_information, np.float64)
     if int(found.source) in BY_KEYPOINTS:
-        told += np.asarray(found.matched.information)
-    return np.linalg.inv(told) + noise.covariance
+        told = told + np.asarray(found.matched.information)
+    # Along directions that nothing observes, the rounding of float32 may leave less than none.
+    values, directions = np.linalg.eigh((told + told.T) / 2)
+    known = (directions / (np.maximum(values, 0) + free_sigma**-2)) @ directions.T
+    return known + noise.covariance
 
 
 def best_known(covariances: Float[np.ndarray, "w 6 6"]) -> int:

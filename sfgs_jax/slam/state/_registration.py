@@ -41,7 +41,6 @@ class FeatureRegistration(eqx.Module):
         inliers: (K,) matches that the motion explains.
         num_matches: number of matches.
         num_inliers: number of inliers among them.
-        inlier_share: share of inliers, each part of the image counted alike.
     """
 
     T_target_source: jaxlie.SE3
@@ -50,7 +49,6 @@ class FeatureRegistration(eqx.Module):
     inliers: Bool[Array, " k"]
     num_matches: Int[Array, ""]
     num_inliers: Int[Array, ""]
-    inlier_share: Float[Array, ""]
 
 
 class Registration(eqx.Module):
