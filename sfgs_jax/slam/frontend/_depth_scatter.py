@@ -12,7 +12,7 @@ _MEDIAN = 0.6745
 """Median of the absolute value of a normal variable, in standard deviations."""
 
 
-def is_noise(depth: Float[Array, "H W"], most: float) -> Bool[Array, ""]:
+def is_noise(depth: Float[Array, "H W"], most: Float[Array, ""] | float) -> Bool[Array, ""]:
     """True if the depth of most pixels scatters around that of their neighbours by more than a share of it.
 
     Inverse depth is linear across a plane. So the scatter is what it bends by between three pixels of a row:
