@@ -137,7 +137,7 @@ class TrackingConfig:
     max_position_sigma: float = 0.5
     """Standard deviation of a frame's position in its keyframe beyond which the frame is lost, metres. It
     grows while the motion model carries the pose."""
-    max_scale_change: float = 0.025
+    max_scale_change: float = 0.03
     """Largest change of the scale of depth from the reference to a frame, as a share, that is taken for the
     distortion of the sensor. With a larger one a frame is lost: the sensor has changed its unit."""
     max_depth_lag: int = 1
