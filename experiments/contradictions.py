@@ -1,4 +1,4 @@
-"""How clearly faults of a sensor show, and how far recordings without them stay from being suspected.
+"""How clearly do faults of a sensor show, and how far are recordings without them from being suspected?
 
     python -m experiments.contradictions [--recordings room redkitchen ...] [--frames 200]
 

@@ -61,7 +61,7 @@ def _lost(state: SlamState, tracker: Tracker, told: str, info: StepInfo | None =
     state = replace(state, tracker=tracker, num_lost=state.num_lost + 1)
     lost, unknown = lost_info(state.T_world_cam), np.diag(np.full(6, np.inf))
     if info is not None:
-        # What was matched says why it was not enough.
+        # These figures show how little was missing.
         names = ("inlier_fraction", "rmse", "num_matches", "num_inliers")
         lost = lost._replace(**{name: getattr(info, name) for name in names})
     return FoundFrame(state, None, lost._replace(contradiction=told), unknown)
@@ -77,7 +77,7 @@ def _contradiction(info: TrackInfo, tracker: Tracker) -> str:
 
 
 def _covariance(state: SlamState, found: Found) -> Float[np.ndarray, "6 6"]:
-    """Covariance of a pose in its reference. What the motion model gives is the less certain the longer."""
+    """Covariance of a pose in its reference. The longer the motion model carries it, the larger it is."""
     frames = max(1, int(found.tracker.motion_model_frames))
     free_sigma = state.config.tracking.motion_model_sigma * frames**0.5
     return motion_covariance(found.info.registration, state.graph.noise, free_sigma)

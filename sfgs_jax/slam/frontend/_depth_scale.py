@@ -1,9 +1,9 @@
 """Does a frame measure depth in the unit of the frame that it was registered to?
 
 A sensor whose scale of depth changes in mid-run moves every pose after the change, and each pose fits as well
-as ever. But two frames of different scales don't lie on each other without leftovers: their surfaces have
-different sizes, and keypoints move in the image as no pose moves them. One more unknown beside the pose, the
-logarithm of the ratio of the two scales, says by how much.
+as ever. But no pose lays two frames of different scales on each other. Their surfaces have different sizes,
+and keypoints move in the image as no pose moves them. One more unknown beside the pose tells by how much: the
+logarithm of the ratio of the two scales.
 """
 
 import jax
@@ -56,8 +56,8 @@ def depth_scale_change(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Logarithm of the target's scale of depth over the source's, and its standard deviation.
 
-    One Gauss-Newton step from the motion, for pose and scale together. What is left of a large change after
-    robust weights have had their say is some four fifths of it.
+    One Gauss-Newton step from the motion, for pose and scale together. Robust weights hide a part of a large
+    change: some four fifths of it are found.
 
     Args:
         params: parameters of tracking.

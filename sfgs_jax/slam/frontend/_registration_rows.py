@@ -1,7 +1,7 @@
 """Residuals of a registration at its motion, whitened and with their derivatives by the pose.
 
-Whoever asks for something that the registration left out, such as the times of the rows or the scale of
-depth, adds columns of its own to them.
+A registration leaves unknowns out, such as the times of the rows or the scale of depth. Whoever asks for one
+of them adds its columns.
 """
 
 import equinox as eqx
