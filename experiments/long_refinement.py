@@ -55,7 +55,7 @@ class _Rows:
         self._name, self._every = name, every
         self._start, self._programs, self._counted = 0.0, 0, 0
 
-    def compiled(self, event: str, duration: float, **_: object) -> None:
+    def compiled(self, event: str, duration_secs: float, **_: str | int) -> None:
         """Count a program."""
         self._programs += event == _COMPILED
 
