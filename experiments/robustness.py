@@ -77,7 +77,10 @@ def poses_of(
     if not tracked:
         return live, final
     largest = Run(finish(state)).maps[0]
-    final[np.asarray(tracked, int)[largest.rows]] = largest.trajectory.poses
+    rows = np.asarray(tracked, int)[largest.rows]
+    final[rows] = largest.trajectory.poses
+    # What was the largest map at first need not be it in the end.
+    live[np.setdiff1d(np.arange(len(recording)), rows)] = np.nan
     return live, final
 
 

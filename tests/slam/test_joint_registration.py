@@ -84,8 +84,9 @@ def test_along_a_textured_wall_the_keypoints_decide(rng, look, params):
     assert both[0] > 100
 
 
-@pytest.mark.parametrize(("wrong", "expected"), [(0.4, PoseSource.JOINT), (0.82, PoseSource.MOTION_MODEL)])
+@pytest.mark.parametrize(("wrong", "expected"), [(0.4, PoseSource.JOINT), (0.82, PoseSource.LOST)])
 def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, params, tracking, wrong, expected):
+    """Nor does the motion model against so many that fit no motion."""
     image = texture(rng)
     source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
     points = target.keypoints.points

@@ -21,6 +21,9 @@ from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import FeatureRegistration, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
 
+_DENYING = 5
+"""Matches that fit no motion, in least numbers to stand alone, which speak against the motion model: 100."""
+
 
 class Allowed(NamedTuple):
     """Sources of a pose that the frames before allow.
@@ -93,6 +96,8 @@ def _register(
     helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
     many = matched.num_inliers >= features.min_inliers_alone
     many_matches = matched.num_matches >= features.min_inliers_alone
+    # So many matches show what the camera sees, and that no motion found explains it.
+    denied = matched.num_matches >= _DENYING * features.min_inliers_alone
     start = _choose(helpful, matched.T_target_source, guess)
     if not config.use_surface:
         scale = _scale(params, source, target, start, matched, sweep)
@@ -117,7 +122,7 @@ def _register(
         surface_alone=_stands_alone(surface, _apart(guess, T), config),
         free=num_free > 0,
         surface_allowed=jnp.asarray(allowed.surface) & (allowed.near_guess | ~many_matches),
-        motion_model_allowed=allowed.motion_model,
+        motion_model_allowed=jnp.asarray(allowed.motion_model) & ~denied,
     )
     by_surface = rests_on_surface(evidence)
     T = _choose(by_surface, T, start)
