@@ -90,7 +90,7 @@ def _extract(
     keypoints, scores = detect(
         logits[:, 0], reliability, jnp.asarray(min_heat), shape=(height, width), max_keypoints=max_keypoints
     )
-    valid = scores > 0
+    keypoints, valid = keypoints + params.shift[None], scores > 0
     # The last layer is linear, so it commutes with the interpolation and costs less after it.
     descriptors = unit(linear(params.describe, sample(cells[0], keypoints)))
     return Features(

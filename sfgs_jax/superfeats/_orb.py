@@ -6,6 +6,9 @@ from jaxtyping import Float
 
 from sfgs_jax.superfeats._features import Features, pack_features
 
+_SCALE = 1.2
+"""From one level of the pyramid to the next."""
+
 
 def extract_orb(
     image: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w 3"], *, max_keypoints: int = 1024
@@ -23,9 +26,13 @@ def extract_orb(
     """
     scaled = np.clip(np.rint(np.asarray(image, np.float32) * 255), 0, 255).astype(np.uint8)
     grey = cv2.cvtColor(scaled, cv2.COLOR_RGB2GRAY) if scaled.ndim == 3 else scaled
-    found, bits = cv2.ORB.create(nfeatures=max_keypoints).detectAndCompute(grey, None)
+    found, bits = cv2.ORB.create(nfeatures=max_keypoints, scaleFactor=_SCALE).detectAndCompute(grey, None)
     if not found:
         return pack_features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 256)), capacity=max_keypoints)
     descriptors = (np.unpackbits(np.asarray(bits, np.uint8), axis=1) * np.float32(2) - 1) / 16
     scores = np.asarray([keypoint.response for keypoint in found])
-    return pack_features(np.asarray(cv2.KeyPoint.convert(found)), scores, descriptors, capacity=max_keypoints)
+    # OpenCV multiplies a pixel of the pyramid by its level's scale, and so takes the first pixels of all
+    # levels for one place. Their borders coincide, not their centres.
+    scales = np.asarray([_SCALE**keypoint.octave for keypoint in found], np.float32)
+    pixels = np.asarray(cv2.KeyPoint.convert(found)) + (scales[:, None] - 1) / 2
+    return pack_features(pixels, scores, descriptors, capacity=max_keypoints)

@@ -133,6 +133,8 @@ class Network(eqx.Module):
         cell_layers: the detection branch's 2 x 2 and 1 x 1 convolutions of cells.
         context: its convolutional module, which narrows, looks at the cells around, and widens.
         detect: 1 x 1 convolution to the 65 logits of keypoints.
+        shift: (2,) pixels (u, v) added to keypoints. No loss sees an error that all keypoints have in common,
+            so it is measured after the training, see `centred`.
     """
 
     levels: tuple[Level, ...]
@@ -142,6 +144,7 @@ class Network(eqx.Module):
     cell_layers: tuple[Layer, Layer]
     context: tuple[Layer, Layer, Layer]
     detect: Convolution
+    shift: Float[Array, "2"]
 
 
 class DenseFeatures(eqx.Module):
@@ -279,4 +282,5 @@ def _build(config: NetworkConfig, noise: Noise) -> Network:
             layer(1, config.context, pixels),
         ),
         detect=initialise_linear(noise, pixels, pixels + 1),
+        shift=jnp.zeros(2),
     )

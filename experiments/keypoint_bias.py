@@ -1,0 +1,152 @@
+"""Do keypoints lie where the scene is? Bias of their positions, measured on turned images, and its removal.
+
+    python -m experiments.keypoint_bias [--photos 60] [--recordings redkitchen fr1_rpy room]
+                                        [--weights FILE] [--write FILE]
+
+An error that all keypoints of an image have in common shows in no pair of like images: it is in both. Seen in
+an image that is turned, it points another way. So keypoints of an image and of its copy, turned by up to 30
+degrees, are matched, and the error is what explains how they miss each other: (I - R) error, with R the turn.
+
+To tracking such an error is a depth camera that is turned against the colour camera. `--write` stores
+SuperFeats' weights with a shift that removes what was found on the photographs.
+"""
+
+import argparse
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from experiments.extractors import NAMES, make_extractor
+from experiments.matching_tables import print_table
+from experiments.recordings import SOURCES
+from sfgs_jax.datasets import open_recording, read_photos
+from sfgs_jax.superfeats import Features, load_weights, match, save_weights
+
+ANGLES = (-30.0, -15.0, 15.0, 30.0)
+"""Degrees; far enough for the error to show, and near enough for keypoints to be matched."""
+REACH = 2.5
+"""Pixels beyond which a match is taken to be a wrong one."""
+ROUNDS = 10
+"""Estimates of the error of an image, each with the matches that are right by the one before."""
+PER_RECORDING = 12
+KEYPOINTS = 512
+PLACES = {"room": "synthetic:place=room,frames=80,width=320,height=240"}
+
+
+class Bias(NamedTuple):
+    """Error that all keypoints have in common.
+
+    Attributes:
+        pixels: (2,) mean over the images, along u and v.
+        sigma: (2,) its standard error over the images.
+        matches: number of matches that it was found from.
+    """
+
+    pixels: Float[np.ndarray, "2"]
+    sigma: Float[np.ndarray, "2"]
+    matches: int
+
+
+def keypoint_bias(extract: Callable[[np.ndarray], Features], images: Iterable[np.ndarray]) -> Bias:
+    """Bias of keypoints, by images and their turned copies.
+
+    Args:
+        extract: features of an image (H, W, 3) in [0, 1].
+        images: with something to see in them.
+    """
+    found = [_of_image(extract, np.asarray(image, np.float32)) for image in images]
+    errors = np.stack([error for error, count in found if count])
+    spread = errors.std(axis=0, ddof=1) / np.sqrt(len(errors))
+    return Bias(errors.mean(axis=0), spread, sum(count for _, count in found))
+
+
+def _of_image(
+    extract: Callable[[np.ndarray], Features], image: Float[np.ndarray, "h w 3"]
+) -> tuple[Float[np.ndarray, "2"], int]:
+    """The error by least squares over all angles, and the number of matches."""
+    height, width = image.shape[:2]
+    straight, slopes, misses = extract(image), [], []
+    for angle in ANGLES:
+        turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, 1.0)
+        turned = cv2.warpAffine(
+            image, turn, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101
+        )
+        other = extract(np.clip(turned, 0, 1))
+        matches = match(straight, other)
+        valid = np.asarray(matches.valid)
+        here = np.asarray(straight.keypoints, np.float64)[valid]
+        there = np.asarray(other.keypoints, np.float64)[np.asarray(matches.index_b)[valid]]
+        misses.append(there - (here @ turn[:, :2].T + turn[:, 2]))
+        slopes.append(np.broadcast_to(np.eye(2) - turn[:, :2], (len(here), 2, 2)))
+    return _explanation(np.concatenate(slopes), np.concatenate(misses))
+
+
+def _explanation(
+    slopes: Float[np.ndarray, "n 2 2"], misses: Float[np.ndarray, "n 2"]
+) -> tuple[Float[np.ndarray, "2"], int]:
+    """The error that explains the misses of right matches, and their number."""
+    error, right = np.zeros(2), np.zeros(len(misses), bool)
+    for _ in range(ROUNDS):
+        # Around what is explained so far: a gate around none would cut the error short.
+        right = np.linalg.norm(misses - slopes @ error, axis=1) < REACH
+        if not right.any():
+            break
+        slope = slopes[right].reshape(-1, 2)
+        error = np.linalg.lstsq(slope, misses[right].reshape(-1), rcond=None)[0]
+    return error, int(right.sum())
+
+
+def photographs(folder: Path, count: int) -> list[np.ndarray]:
+    """Photographs spread evenly over a set, as wide as most of them, so that few sizes are compiled.
+
+    Args:
+        folder: with photographs.
+        count: of them.
+    """
+    photos = read_photos(folder)
+    chosen = np.linspace(0, len(photos) - 1, min(count, len(photos))).astype(int).tolist()
+    return [cv2.resize(photos[i], (480, 320), interpolation=cv2.INTER_AREA) for i in chosen]
+
+
+def _frames(name: str) -> list[np.ndarray]:
+    recording = open_recording(PLACES.get(name) or SOURCES[name])
+    chosen = np.linspace(0, len(recording) - 1, PER_RECORDING).astype(int).tolist()
+    return [np.asarray(recording[i].rgb, np.float32) for i in chosen]
+
+
+def main() -> None:
+    """Print the table, and write weights."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, default=Path("../shared/data/photos"), help="photographs")
+    parser.add_argument("--photos", type=int, default=60)
+    parser.add_argument("--recordings", nargs="*", default=["redkitchen", "fr1_rpy", "room"])
+    parser.add_argument("--extractors", nargs="*", default=list(NAMES), choices=NAMES)
+    parser.add_argument("--weights", type=Path, help="of SuperFeats; by default those of the package")
+    parser.add_argument("--write", type=Path, help="SuperFeats' weights without the photographs' error")
+    options = parser.parse_args()
+    images = {"photographs": photographs(options.data, options.photos)} if options.photos else {}
+    images |= {name: _frames(name) for name in options.recordings}
+    rows = []
+    for name in options.extractors:
+        extractor = make_extractor(name, max_keypoints=KEYPOINTS, weights=options.weights)
+        for label, shown in images.items():
+            bias = keypoint_bias(extractor.extract, shown)
+            cells = (f"{p:+.3f} ± {s:.3f}" for p, s in zip(bias.pixels, bias.sigma, strict=True))
+            rows.append((name, label, *cells, str(bias.matches)))
+            if name == "superfeats" and label == "photographs" and options.write:
+                network = load_weights(options.weights)
+                shift = network.shift - jnp.asarray(bias.pixels, jnp.float32)
+                save_weights(options.write, eqx.tree_at(lambda n: n.shift, network, shift))
+    print_table("Bias of keypoints, pixels", ("keypoints", "images", "right", "down", "matches"), rows)
+
+
+if __name__ == "__main__":
+    main()
