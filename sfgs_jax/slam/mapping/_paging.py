@@ -1,4 +1,4 @@
-"""Paging: submaps of far places leave the map when it is full, and come back where a view shows their surface.
+"""Paging: submaps of far places leave a map that is full, and come back with a view of their surface.
 
 The idea is RTAB-Map's working memory (Labbé and Michaud, 2013). Here the place of the surface tells what is
 needed, so that a closed loop brings back what it leads to.
@@ -71,7 +71,7 @@ def _shown(
     if not mapping.submaps:
         return np.zeros(0, bool)
     every = max(1, max(view.depth.shape) // _SAMPLES)
-    depth = np.asarray(view.depth[::every, ::every])
+    depth = np.asarray(view.depth)[::every, ::every]
     v, u = np.nonzero(depth > 0)
     z = depth[v, u]
     fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))

@@ -5,6 +5,7 @@ Each Gaussian is held in the camera of its keyframe, so that it need not be touc
 
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
@@ -117,15 +118,9 @@ def _moved(content: GaussianMap, T: Float[np.ndarray, "k 4 4"]) -> GaussianMap:
     scalar = a[:, :1] * b[:, :1] - np.sum(a[:, 1:] * b[:, 1:], axis=1, keepdims=True)
     vector = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
     turned = np.concatenate([scalar, vector], axis=1)
-    moved = {
-        "means": means.astype(gaussians.means.dtype),
-        "quaternions": turned.astype(gaussians.means.dtype),
-    }
-    values = {name: getattr(gaussians, name) for name in content.first_moment} | moved
-    return GaussianMap(
-        gaussians=type(gaussians)(**values, valid=gaussians.valid),
-        first_moment=content.first_moment,
-        second_moment=content.second_moment,
-        updates=content.updates,
-        keyframes=content.keyframes,
+    dtype = gaussians.means.dtype
+    return eqx.tree_at(
+        lambda m: (m.gaussians.means, m.gaussians.quaternions),
+        content,
+        (means.astype(dtype), turned.astype(dtype)),
     )
