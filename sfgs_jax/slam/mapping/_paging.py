@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.state._gaussian_map import GaussianMap
 from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._submaps import Submap, submap_of, with_submaps, without
 
@@ -106,10 +107,7 @@ def _without_far(
         return mapping
     host = jax.tree.map(np.asarray, mapping.map)
     valid, places = host.gaussians.valid, host.keyframes // _KEYFRAMES
-    parts = [
-        submap_of(host, valid & (places == place), mapping.keyframe_poses, mapping.num_submaps)
-        for place in np.unique(places[valid])
-    ]
+    parts = _places(mapping, host)
     away = _distances(mapping, tuple(parts), position[None])[:, 0]
     leaving, gone = [], np.zeros_like(valid)
     for i in np.argsort(-away, kind="stable"):
@@ -126,3 +124,12 @@ def _without_far(
         submaps=(*submaps, *leaving),
         num_submaps=mapping.num_submaps + len(leaving),
     )
+
+
+def _places(mapping: MapState, host: GaussianMap) -> list[Submap]:
+    """All Gaussians of the map as submaps by place, none of them numbered yet."""
+    valid, places = host.gaussians.valid, host.keyframes // _KEYFRAMES
+    return [
+        submap_of(host, valid & (places == place), mapping.keyframe_poses, mapping.num_submaps)
+        for place in np.unique(places[valid])
+    ]
