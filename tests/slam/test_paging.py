@@ -8,7 +8,7 @@ import pytest
 
 from sfgs_jax import slam
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, refine_once, view_of
+from sfgs_jax.slam.mapping import _paging, follow_keyframes, insert_view, optimise_once, refine_once, view_of
 from sfgs_jax.slam.run import spill_views
 from sfgs_jax.slam.run._storage import remove_other_images
 from sfgs_jax.splatting import GAUSSIAN_PARAMETERS
@@ -136,3 +136,24 @@ def test_submaps_are_saved_and_spilled(places, paged, tmp_path):
     assert len(list(tmp_path.glob("submap-*"))) == 1
     remove_other_images(replace(state, mapping=replace(second, submaps=())), tmp_path)
     assert not list(tmp_path.glob("submap-*"))
+
+
+def test_a_run_that_pages_goes_on_from_a_checkpoint_to_the_same_end(
+    room, frames, config, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(_paging, "_REACH", -1.0)
+    monkeypatch.setattr(_paging, "_KEYFRAMES", 1)
+    mapping = replace(config.mapping, view_interval=2, views_in_memory=1, memory_mb=0.2, steps_per_frame=1)
+    config, offered = replace(config, mapping=mapping), list(enumerate(frames))
+
+    def keep(progress):
+        if progress.stage == "frames" and progress.done == 7:
+            slam.save_run(progress.run, tmp_path)
+
+    whole = slam.run(offered, room.camera, config, storage=tmp_path, observer=keep)
+    assert whole.state.mapping.num_submaps > 4
+    half = slam.load_run(tmp_path, config)
+    assert half.num_frames == 7
+    again = slam.run(offered[7:], room.camera, config, storage=tmp_path, resumed=half)
+    for a, b in zip(jax.tree.leaves(again.state), jax.tree.leaves(whole.state), strict=True):
+        np.testing.assert_array_equal(a, b)
