@@ -74,9 +74,10 @@ def _check(a: SlamState, b: SlamState) -> None:
 
 
 def _settled(state: SlamState) -> SlamState:
-    """The state without an adjustment under way, and its map where the keyframes are."""
+    """The state without an adjustment under way, and its whole map where the keyframes are."""
     state = with_graph(state, with_adjustment_taken(state.graph))
-    return replace(state, mapping=follow_keyframes(state.mapping, state.graph.poses, state.row_times))
+    mapping = follow_keyframes(state.mapping, state.graph.poses, state.row_times)
+    return replace(state, mapping=replace(mapping, map=mapping.whole, submaps=()))
 
 
 def _joined(a: SlamState, b: SlamState) -> SlamState:

@@ -57,7 +57,7 @@ def compare(state: SlamState, frame: Frame) -> Comparison:
     gains = state.gains
     factor = max(1, -(-state.camera.width // _MAX_WIDTH))
     compared = _compared(
-        state.gaussians,
+        state.mapping.map.gaussians,
         state.camera.downscaled(factor),
         se3.from_matrix(state.trajectory.poses[-1]),
         jnp.asarray(frame.rgb, jnp.float32),

@@ -5,6 +5,9 @@ from dataclasses import dataclass, field
 
 from sfgs_jax.arrays import InputError, check_counts, check_positive, check_range
 
+_GAUSSIAN_BYTES = 177
+"""Of a Gaussian without view dependence: 14 numbers with two moments each, its updates, keyframe and flag."""
+
 
 @dataclass(frozen=True)
 class LearningRates:
@@ -99,6 +102,9 @@ class MappingConfig:
     """Gaussians that the map has room for at first. It doubles when full."""
     max_capacity: int = 1_048_576
     """Gaussians beyond which the map does not grow. The number left out is reported."""
+    memory_mb: float = 48.0
+    """Memory for Gaussians and the moments of their optimiser, MiB. Before it is full, Gaussians of places
+    more than 8 m away leave the map for the disk. They come back with the first view of their surface."""
     pair_capacity: int = 0
     """Pairs of tile and Gaussian that a rendering has room for at first; 0 means 1.7 for each pixel of a
     view. It grows when a view needs more."""
@@ -142,4 +148,9 @@ class MappingConfig:
         check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")
         check_range(self, 0, 1, "newest_share", "prune_opacity", "final_rate")
         check_range(self, 0, math.inf, "final_seconds")
-        check_positive(self, "max_view_shift")
+        check_positive(self, "max_view_shift", "memory_mb")
+
+    @property
+    def most_gaussians(self) -> int:
+        """Gaussians that `memory_mb` has room for."""
+        return int(self.memory_mb * 2**20) // _GAUSSIAN_BYTES

@@ -19,6 +19,7 @@ from sfgs_jax.slam.mapping._map_step import (
     prune,
     seen_by,
 )
+from sfgs_jax.slam.mapping._paging import is_whole, with_surface_of
 from sfgs_jax.slam.mapping._seeding import seed
 from sfgs_jax.slam.state._frame_log import FrameLog
 from sfgs_jax.slam.state._gaussian_map import grow, move
@@ -27,6 +28,8 @@ from sfgs_jax.slam.state._slam_state import SlamState
 from sfgs_jax.slam.state._step_info import Stages, untimed
 from sfgs_jax.splatting import pair_capacity
 
+_DRAWS = 20
+"""Views drawn before the newest is taken, where most of them show places that are paged out."""
 _HEADROOM = 1.5
 """Room for pairs that a view gets, as a multiple of its need: the next views need a little more."""
 
@@ -115,6 +118,7 @@ def insert_view(
     Returns:
         The map state, and the loss of the map before.
     """
+    mapping = with_surface_of(mapping, view, camera, config)
     mapping = replace(mapping, views=(*mapping.views, view))
     mapping, done = step_on_view(mapping, -1, camera, config, learn=config.steps_per_view > 0)
     view = replace(view, gain=np.asarray(done.seed_gain))
@@ -155,9 +159,18 @@ def optimise_once(
     """
     draw = np.random.default_rng([seed, mapping.num_steps])
     newest = draw.random() < newest_share
-    number = -1 if newest else int(draw.integers(len(mapping.views)))
+    number = -1 if newest else _drawn(mapping, camera, draw)
     mapping, done = step_on_view(mapping, number, camera, config)
     return mapping, float(done.loss)
+
+
+def _drawn(mapping: MapState, camera: Camera, draw: np.random.Generator) -> int:
+    """Number of a view drawn uniformly from those whose whole surface is in the map; else the newest."""
+    for _ in range(_DRAWS):
+        number = int(draw.integers(len(mapping.views)))
+        if not mapping.submaps or is_whole(mapping, mapping.views[number], camera):
+            return number
+    return -1
 
 
 def step_on_view(

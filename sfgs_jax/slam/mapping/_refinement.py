@@ -5,11 +5,16 @@ which an image shows against the map. The learning rates decay, so that map and 
 """
 
 import numpy as np
+from jaxtyping import Int
 
 from sfgs_jax.geometry import Camera
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.mapping._map_update import step_on_view
+from sfgs_jax.slam.mapping._paging import with_surface_of
 from sfgs_jax.slam.state._map_state import MapState
+
+_ROUND = 256
+"""Steps in which all places have their turn, where they are not in the map at once."""
 
 
 def refine_once(
@@ -30,6 +35,9 @@ def refine_once(
     """
     epoch, place = divmod(number, len(mapping.views))
     order = np.random.default_rng([seed, epoch]).permutation(len(mapping.views))
+    if mapping.num_submaps:
+        order = _place_by_place(mapping, order)
+        mapping = with_surface_of(mapping, mapping.views[order[place]], camera, config)
     mapping, stepped = step_on_view(
         mapping,
         int(order[place]),
@@ -39,3 +47,10 @@ def refine_once(
         move_view=True,
     )
     return mapping, float(stepped.loss)
+
+
+def _place_by_place(mapping: MapState, order: Int[np.ndarray, " v"]) -> Int[np.ndarray, " v"]:
+    """The same order in rounds that go from place to place, so that few submaps change places at a time."""
+    keyframes = np.asarray([view.keyframe for view in mapping.views])
+    rounds = [order[start : start + _ROUND] for start in range(0, len(order), _ROUND)]
+    return np.concatenate([numbers[np.argsort(keyframes[numbers], kind="stable")] for numbers in rounds])

@@ -62,8 +62,9 @@ class FinishedMap:
             return self.state.gaussians
         poses = mapping.keyframe_poses
         moved = se3.parameters_of(self._T_own_world @ se3.matrices_of(poses)).astype(poses.dtype)
-        gaussians = (move(mapping.map, poses, moved) if self.first else mapping.map).gaussians
-        own = np.asarray(gaussians.valid) & (maps[np.asarray(mapping.map.keyframes)] == self.first)
+        whole = mapping.whole
+        gaussians = (move(whole, poses, moved) if self.first else whole).gaussians
+        own = np.asarray(gaussians.valid) & (maps[np.asarray(whole.keyframes)] == self.first)
         return replace(gaussians, valid=jax.device_put(own))
 
     @property

@@ -29,11 +29,13 @@ from sfgs_jax.slam.state import (
     MapState,
     PendingAdjustment,
     SlamState,
+    Submap,
     View,
+    empty_map,
 )
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 16
+FORMAT_VERSION = 17
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -57,6 +59,8 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         _write_once(_keyframe_file(folder, i, keyframe), keyframe.features)
     for i, view in enumerate(state.mapping.views):
         _write_once(_image_file(folder, "view", i), _images(view))
+    for submap in state.mapping.submaps:
+        _write_once(_submap_file(folder, submap), submap.content)
     # The images have their names before the state that names them.
     sync_folder(folder)
     counts = {
@@ -66,6 +70,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         "candidates": len(state.graph.candidates),
         "adjustments": 0 if state.graph.adjustment is None else 1,
         "views": len(state.mapping.views),
+        "submaps": len(state.mapping.submaps),
     }
     metadata = {
         "version": str(FORMAT_VERSION),
@@ -114,10 +119,11 @@ def load(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -
     views = tuple(
         _with_images(view, _image_file(folder, "view", i)) for i, view in enumerate(rest.mapping.views)
     )
+    submaps = tuple(_mapped(submap, _submap_file(folder, submap)) for submap in rest.mapping.submaps)
     return replace(
         rest,
         graph=replace(rest.graph, keyframes=keyframes),
-        mapping=replace(rest.mapping, views=views),
+        mapping=replace(rest.mapping, views=views, submaps=submaps),
     )
 
 
@@ -138,7 +144,7 @@ def spill(state: SlamState, folder: Path) -> SlamState:
 
 
 def spill_views(mapping: MapState, folder: Path, kept: int) -> MapState:
-    """The map state with the images of all but the newest views on disk, not in memory.
+    """The map state with submaps and the images of all but the newest views on disk, not in memory.
 
     Args:
         mapping: before.
@@ -150,7 +156,12 @@ def spill_views(mapping: MapState, folder: Path, kept: int) -> MapState:
         path = _image_file(folder, "view", i)
         _write_once(path, _images(views[i]))
         views[i] = _with_images(views[i], path)
-    return replace(mapping, views=tuple(views))
+    submaps = list(mapping.submaps)
+    for i in _in_memory(submaps, 0, lambda s: s.content.updates):
+        path = _submap_file(folder, submaps[i])
+        _write_once(path, submaps[i].content)
+        submaps[i] = _mapped(submaps[i], path)
+    return replace(mapping, views=tuple(views), submaps=tuple(submaps))
 
 
 def remove_other_images(state: SlamState, folder: Path) -> None:
@@ -168,7 +179,8 @@ def remove_other_images(state: SlamState, folder: Path) -> None:
     """
     known = {_keyframe_file(folder, i, keyframe) for i, keyframe in enumerate(state.graph.keyframes)}
     known |= {_image_file(folder, "view", i) for i in range(len(state.mapping.views))}
-    for kind in ("keyframe", "view"):
+    known |= {_submap_file(folder, submap) for submap in state.mapping.submaps}
+    for kind in ("keyframe", "view", "submap"):
         for path in set(folder.glob(f"{kind}-*.safetensors")) - known:
             path.unlink()
 
@@ -195,6 +207,14 @@ def _image_file(folder: Path, kind: str, number: int) -> Path:
     return folder / f"{kind}-{number:06d}.safetensors"
 
 
+def _submap_file(folder: Path, submap: Submap) -> Path:
+    return _image_file(folder, "submap", submap.number)
+
+
+def _mapped(submap: Submap, path: Path) -> Submap:
+    return replace(submap, content=_read_images(path, empty_map(1)))
+
+
 def _write_once(path: Path, images: Any) -> None:
     if not path.exists():
         make_folder(path.parent, private=True)
@@ -218,10 +238,11 @@ def _named(tree: Any) -> dict[str, Any]:
 def _without_images(state: SlamState) -> SlamState:
     keyframes = tuple(_bare_keyframe(k) for k in state.graph.keyframes)
     views = tuple(_bare_view(v) for v in state.mapping.views)
+    submaps = tuple(_bare_submap(s) for s in state.mapping.submaps)
     return replace(
         state,
         graph=replace(state.graph, keyframes=keyframes),
-        mapping=replace(state.mapping, views=views),
+        mapping=replace(state.mapping, views=views, submaps=submaps),
     )
 
 
@@ -282,9 +303,13 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
         candidates=(edge,) * counts["candidates"],
         adjustment=_blank_adjustment() if counts["adjustments"] else None,
     )
-    return replace(
-        state, graph=graph, mapping=replace(state.mapping, views=(_bare_view(view),) * counts["views"])
+    submap = _bare_submap(Submap(state.mapping.map, 0, 0, np.zeros((2, 3), np.float32)))
+    mapping = replace(
+        state.mapping,
+        views=(_bare_view(view),) * counts["views"],
+        submaps=(submap,) * counts["submaps"],
     )
+    return replace(state, graph=graph, mapping=mapping)
 
 
 def _blank_adjustment() -> PendingAdjustment:
@@ -302,6 +327,10 @@ def _blank_adjustment() -> PendingAdjustment:
 
 def _bare_keyframe(keyframe: Keyframe) -> Keyframe:
     return eqx.tree_at(lambda k: k.features, keyframe, None)
+
+
+def _bare_submap(submap: Submap) -> Submap:
+    return eqx.tree_at(lambda s: s.content, submap, None)
 
 
 def _bare_view(view: View) -> View:

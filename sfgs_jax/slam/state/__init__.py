@@ -41,6 +41,7 @@ from sfgs_jax.slam.state._step_info import Stages as Stages
 from sfgs_jax.slam.state._step_info import StepInfo as StepInfo
 from sfgs_jax.slam.state._step_info import lost_info as lost_info
 from sfgs_jax.slam.state._step_info import untimed as untimed
+from sfgs_jax.slam.state._submaps import Submap as Submap
 from sfgs_jax.slam.state._synchrony import Synchrony as Synchrony
 from sfgs_jax.slam.state._synchrony import empty_synchrony as empty_synchrony
 from sfgs_jax.slam.state._tracker import Suspicion as Suspicion

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, UInt8
 from sfgs_jax.arrays import Text, bucket, printed_fields, printed_length, pytree
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.state._gaussian_map import GaussianMap, empty_map
+from sfgs_jax.slam.state._submaps import Submap, with_submaps
 
 _PAIRS_PER_PIXEL = 1.7
 """Room for pairs at first: what views of a furnished room need once they are covered twice over."""
@@ -59,6 +60,8 @@ class MapState:
         num_steps: map steps done.
         pair_capacity: pairs of tile and Gaussian that a rendering has room for.
         dropped_seeds: Gaussians for which the map had no room.
+        submaps: Gaussians of far places, which are not rendered now.
+        num_submaps: submaps made so far, those that came back among them.
     """
 
     map: GaussianMap
@@ -68,6 +71,8 @@ class MapState:
     num_steps: int
     pair_capacity: int
     dropped_seeds: int
+    submaps: tuple[Submap, ...]
+    num_submaps: int
 
     def __repr__(self) -> str:
         return printed_fields(
@@ -79,8 +84,13 @@ class MapState:
 
     @property
     def num_gaussians(self) -> int:
-        """Gaussians in the map."""
-        return int(np.sum(self.map.gaussians.valid))
+        """Gaussians in the map and in its submaps."""
+        return int(np.sum(self.map.gaussians.valid)) + sum(len(submap) for submap in self.submaps)
+
+    @property
+    def whole(self) -> GaussianMap:
+        """The map with the Gaussians of all submaps; it may be larger than the map has room for."""
+        return with_submaps(self.map, self.submaps, self.keyframe_poses)
 
 
 def empty_map_state(config: MappingConfig, *, pixels: int, timed: bool) -> MapState:
@@ -99,4 +109,6 @@ def empty_map_state(config: MappingConfig, *, pixels: int, timed: bool) -> MapSt
         num_steps=0,
         pair_capacity=config.pair_capacity or bucket(int(_PAIRS_PER_PIXEL * pixels), steps=2, smallest=1024),
         dropped_seeds=0,
+        submaps=(),
+        num_submaps=0,
     )

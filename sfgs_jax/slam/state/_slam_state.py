@@ -84,8 +84,8 @@ class SlamState:
 
     @property
     def gaussians(self) -> Gaussians:
-        """The map."""
-        return self.mapping.map.gaussians
+        """The map, with what of it is paged out."""
+        return self.mapping.whole.gaussians
 
     @property
     def trajectory(self) -> Trajectory:
