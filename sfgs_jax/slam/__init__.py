@@ -13,6 +13,7 @@ from sfgs_jax.slam.config import GraphConfig as GraphConfig
 from sfgs_jax.slam.config import LearningRates as LearningRates
 from sfgs_jax.slam.config import MappingConfig as MappingConfig
 from sfgs_jax.slam.config import OptimisationConfig as OptimisationConfig
+from sfgs_jax.slam.config import PagingConfig as PagingConfig
 from sfgs_jax.slam.config import SeedingConfig as SeedingConfig
 from sfgs_jax.slam.config import SlamConfig as SlamConfig
 from sfgs_jax.slam.config import TrackingConfig as TrackingConfig

@@ -8,9 +8,9 @@ import pytest
 
 from sfgs_jax import slam
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.mapping import _paging, follow_keyframes, insert_view, optimise_once, refine_once, view_of
-from sfgs_jax.slam.run import spill_views
-from sfgs_jax.slam.run._storage import remove_other_images
+from sfgs_jax.slam.config import PagingConfig
+from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, refine_once, view_of
+from sfgs_jax.slam.run import remove_other_images, spill_views
 from sfgs_jax.splatting import GAUSSIAN_PARAMETERS
 
 FAR = 16
@@ -28,7 +28,7 @@ def poses():
 @pytest.fixture(scope="module")
 def places(room, frames, config, poses):
     """The state, and views of two places that look alike, one of them far from the other."""
-    small = replace(config.mapping, memory_mb=0.5, final_steps=2)
+    small = replace(config.mapping, paging=PagingConfig(memory_mb=0.5), final_steps=2)
     state = slam.init(room.camera, replace(config, mapping=small))
     still = np.zeros(6, np.float32)
     views = [view_of(frames[0], 1, k, se3.identity(), n, still) for n, k in enumerate((0, FAR))]
@@ -42,8 +42,8 @@ def paged(places):
     state, near, far = places
     config = state.config.mapping
     first, _ = insert_view(state.mapping, near, room_camera(state), config)
-    assert config.most_gaussians * 7 / 8 < 2 * first.num_gaussians
-    config = replace(config, memory_mb=1.1 * first.num_gaussians * 177 / 2**20)
+    assert config.paging.most_gaussians * 7 / 8 < 2 * first.num_gaussians
+    config = replace(config, paging=PagingConfig(memory_mb=1.1 * first.num_gaussians * 177 / 2**20))
     second, _ = insert_view(first, far, room_camera(state), config)
     return config, first, second
 
@@ -96,7 +96,9 @@ def test_a_place_that_was_moved_while_it_was_away_comes_back_there(places, paged
 def test_a_map_with_room_keeps_all(places, paged):
     state, _, far = places
     _, first, _ = paged
-    both, _ = insert_view(first, far, room_camera(state), replace(state.config.mapping, memory_mb=48.0))
+    both, _ = insert_view(
+        first, far, room_camera(state), replace(state.config.mapping, paging=PagingConfig())
+    )
     assert not both.submaps
     assert both.whole is both.map
 
@@ -138,12 +140,9 @@ def test_submaps_are_saved_and_spilled(places, paged, tmp_path):
     assert not list(tmp_path.glob("submap-*"))
 
 
-def test_a_run_that_pages_goes_on_from_a_checkpoint_to_the_same_end(
-    room, frames, config, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(_paging, "_REACH", -1.0)
-    monkeypatch.setattr(_paging, "_KEYFRAMES", 1)
-    mapping = replace(config.mapping, view_interval=2, views_in_memory=1, memory_mb=0.2, steps_per_frame=1)
+def test_a_run_that_pages_goes_on_from_a_checkpoint_to_the_same_end(room, frames, config, tmp_path):
+    paging = PagingConfig(memory_mb=0.2, reach=0.0, place_keyframes=1)
+    mapping = replace(config.mapping, view_interval=2, views_in_memory=1, paging=paging, steps_per_frame=1)
     config, offered = replace(config, mapping=mapping), list(enumerate(frames))
 
     def keep(progress):

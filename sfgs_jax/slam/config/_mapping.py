@@ -93,6 +93,30 @@ class OptimisationConfig:
 
 
 @dataclass(frozen=True)
+class PagingConfig:
+    """Gaussians of far places, which leave a map that is full for the disk."""
+
+    memory_mb: float = 48.0
+    """Memory for Gaussians and the moments of their optimiser, MiB. Before it is full, Gaussians of far
+    places leave the map. They come back with the first view of their surface."""
+    reach: float = 8.0
+    """Distance from the camera within which Gaussians never leave, metres."""
+    place_keyframes: int = 16
+    """Keyframes in a row whose Gaussians leave together."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_positive(self, "memory_mb")
+        check_range(self, 0, math.inf, "reach")
+        check_counts(self, 1, "place_keyframes")
+
+    @property
+    def most_gaussians(self) -> int:
+        """Gaussians that `memory_mb` has room for."""
+        return int(self.memory_mb * 2**20) // _GAUSSIAN_BYTES
+
+
+@dataclass(frozen=True)
 class MappingConfig:
     """Growth and optimisation of the map."""
 
@@ -102,9 +126,6 @@ class MappingConfig:
     """Gaussians that the map has room for at first. It doubles when full."""
     max_capacity: int = 1_048_576
     """Gaussians beyond which the map does not grow. The number left out is reported."""
-    memory_mb: float = 48.0
-    """Memory for Gaussians and the moments of their optimiser, MiB. Before it is full, Gaussians of places
-    more than 8 m away leave the map for the disk. They come back with the first view of their surface."""
     pair_capacity: int = 0
     """Pairs of tile and Gaussian that a rendering has room for at first; 0 means 1.7 for each pixel of a
     view. It grows when a view needs more."""
@@ -134,6 +155,8 @@ class MappingConfig:
     """Map steps between two removals of transparent Gaussians."""
     prune_opacity: float = 0.02
     """Opacity below which Gaussians are removed."""
+    paging: PagingConfig = field(default_factory=PagingConfig)
+    """Gaussians of far places."""
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
     """New Gaussians."""
     optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
@@ -148,9 +171,4 @@ class MappingConfig:
         check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")
         check_range(self, 0, 1, "newest_share", "prune_opacity", "final_rate")
         check_range(self, 0, math.inf, "final_seconds")
-        check_positive(self, "max_view_shift", "memory_mb")
-
-    @property
-    def most_gaussians(self) -> int:
-        """Gaussians that `memory_mb` has room for."""
-        return int(self.memory_mb * 2**20) // _GAUSSIAN_BYTES
+        check_positive(self, "max_view_shift")

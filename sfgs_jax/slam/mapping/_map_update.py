@@ -118,7 +118,7 @@ def insert_view(
     Returns:
         The map state, and the loss of the map before.
     """
-    mapping = with_surface_of(mapping, view, camera, config)
+    mapping = with_surface_of(mapping, view, camera, config.paging)
     mapping = replace(mapping, views=(*mapping.views, view))
     mapping, done = step_on_view(mapping, -1, camera, config, learn=config.steps_per_view > 0)
     view = replace(view, gain=np.asarray(done.seed_gain))

@@ -11,15 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.slam.config import MappingConfig
+from sfgs_jax.slam.config import PagingConfig
 from sfgs_jax.slam.state._gaussian_map import GaussianMap
 from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._submaps import Submap, submap_of, with_submaps, without
 
-_KEYFRAMES = 16
-"""Keyframes in a row whose Gaussians leave together: those of about one place."""
-_REACH = 8.0
-"""Distance of the surface from the camera within which Gaussians stay, metres."""
 _MARGIN = 0.5
 """Distance from a view's surface within which a submap is part of it, metres."""
 _FULL, _KEPT = 7 / 8, 5 / 8
@@ -28,7 +24,7 @@ _SAMPLES = 16
 """Pixels of a view's longer side that are looked up."""
 
 
-def with_surface_of(mapping: MapState, view: View, camera: Camera, config: MappingConfig) -> MapState:
+def with_surface_of(mapping: MapState, view: View, camera: Camera, config: PagingConfig) -> MapState:
     """The map with all Gaussians of the surface that a view shows, without far ones if it is full.
 
     Args:
@@ -96,7 +92,7 @@ def _distances(
 def _without_far(
     mapping: MapState,
     position: Float[np.ndarray, "3"],
-    config: MappingConfig,
+    config: PagingConfig,
     coming: int,
     submaps: tuple[Submap, ...],
 ) -> MapState:
@@ -106,15 +102,15 @@ def _without_far(
     if count <= _FULL * config.most_gaussians:
         return mapping
     host = jax.tree.map(np.asarray, mapping.map)
-    valid, places = host.gaussians.valid, host.keyframes // _KEYFRAMES
-    parts = _places(mapping, host)
+    valid, places = host.gaussians.valid, host.keyframes // config.place_keyframes
+    parts = _places(mapping, host, config.place_keyframes)
     away = _distances(mapping, tuple(parts), position[None])[:, 0]
     leaving, gone = [], np.zeros_like(valid)
     for i in np.argsort(-away, kind="stable"):
-        if away[i] < _REACH or count <= _KEPT * config.most_gaussians:
+        if away[i] < config.reach or count <= _KEPT * config.most_gaussians:
             break
         leaving.append(replace(parts[i], number=mapping.num_submaps + len(leaving)))
-        gone |= valid & (places == parts[i].keyframe // _KEYFRAMES)
+        gone |= valid & (places == parts[i].keyframe // config.place_keyframes)
         count -= len(parts[i])
     if not leaving:
         return mapping
@@ -126,9 +122,9 @@ def _without_far(
     )
 
 
-def _places(mapping: MapState, host: GaussianMap) -> list[Submap]:
-    """All Gaussians of the map as submaps by place, none of them numbered yet."""
-    valid, places = host.gaussians.valid, host.keyframes // _KEYFRAMES
+def _places(mapping: MapState, host: GaussianMap, size: int) -> list[Submap]:
+    """All Gaussians of the map as submaps by place, `size` keyframes each, none of them numbered yet."""
+    valid, places = host.gaussians.valid, host.keyframes // size
     return [
         submap_of(host, valid & (places == place), mapping.keyframe_poses, mapping.num_submaps)
         for place in np.unique(places[valid])

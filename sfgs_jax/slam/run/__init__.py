@@ -24,6 +24,7 @@ from sfgs_jax.slam.run._stopwatch import Stopwatch as Stopwatch
 from sfgs_jax.slam.run._storage import FORMAT_VERSION as FORMAT_VERSION
 from sfgs_jax.slam.run._storage import STATE_FILE as STATE_FILE
 from sfgs_jax.slam.run._storage import load as load
+from sfgs_jax.slam.run._storage import remove_other_images as remove_other_images
 from sfgs_jax.slam.run._storage import save as save
 from sfgs_jax.slam.run._storage import saved_facts as saved_facts
 from sfgs_jax.slam.run._storage import spill as spill

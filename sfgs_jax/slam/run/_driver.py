@@ -4,12 +4,13 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import FrameError, InputError, Text, excerpt, printed_fields
+from sfgs_jax.arrays import FrameError, InputError, Text, excerpt, printed_fields, return_free_memory
 from sfgs_jax.geometry import Camera, Frame, Trajectory, same_camera
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._graph_results import finish
@@ -32,6 +33,8 @@ from sfgs_jax.slam.step import follow
 from sfgs_jax.splatting import Gaussians
 
 _T = TypeVar("_T")
+_TRIM_EVERY = 128
+"""Frames after which free memory is given back; compilation leaves hundreds of megabytes."""
 Frames = Iterable[tuple[int, Frame | FrameError]]
 
 
@@ -270,6 +273,8 @@ def run(
             gaussians = result.state.mapping.num_gaussians
             observer(Progress("frames", result.num_frames, gaussians, skipped, info, result, image))
             _check_skipped(result)
+            if result.num_frames % _TRIM_EVERY == 0:
+                Thread(target=return_free_memory, name="sfgs_jax heap", daemon=True).start()
         if not result.is_finished:
             _finish(result, worker)
         refine(result, observer)
