@@ -1,14 +1,15 @@
-"""Do keypoints lie where the scene is? Bias of their positions, measured on turned images, and its removal.
+"""Do keypoints lie where the scene is? Bias of their positions, measured on changed images, and its removal.
 
     python -m experiments.keypoint_bias [--photos 60] [--recordings redkitchen fr1_rpy room]
                                         [--weights FILE] [--write FILE]
 
-An error that all keypoints of an image have in common shows in no pair of like images: it is in both. Seen in
-an image that is turned, it points another way. So keypoints of an image and of its copy, turned by up to 30
-degrees, are matched, and the error is what explains how they miss each other: (I - R) error, with R the turn.
+An error that all keypoints of an image have in common shows in no pair of like images: it is in both. In an
+image that is turned it points another way, and in one that is larger it is a smaller part of the scene. So
+keypoints of an image and of changed copies are matched, and the error is what explains how they miss each
+other: (I - A) error, with A the turn or the factor.
 
 To tracking such an error is a depth camera that is turned against the colour camera. `--write` stores
-SuperFeats' weights with a shift that removes what was found on the photographs.
+SuperFeats' weights with a shift that removes what was found on the photographs, turned and zoomed.
 """
 
 import argparse
@@ -28,8 +29,10 @@ from experiments.recordings import SOURCES
 from sfgs_jax.datasets import open_recording, read_photos
 from sfgs_jax.superfeats import Features, load_weights, match, save_weights
 
-ANGLES = (-30.0, -15.0, 15.0, 30.0)
-"""Degrees; far enough for the error to show, and near enough for keypoints to be matched."""
+TURNS = ((-15.0, 1.0), (-8.0, 1.0), (8.0, 1.0), (15.0, 1.0))
+ZOOMS = ((0.0, 0.75), (0.0, 0.87), (0.0, 1.15), (0.0, 1.33))
+"""Degrees and factors; far enough for the error to show, and near enough for keypoints to be matched."""
+Changes = tuple[tuple[float, float], ...]
 REACH = 2.5
 """Pixels beyond which a match is taken to be a wrong one."""
 ROUNDS = 10
@@ -53,37 +56,42 @@ class Bias(NamedTuple):
     matches: int
 
 
-def keypoint_bias(extract: Callable[[np.ndarray], Features], images: Iterable[np.ndarray]) -> Bias:
-    """Bias of keypoints, by images and their turned copies.
+def keypoint_bias(
+    extract: Callable[[np.ndarray], Features], images: Iterable[np.ndarray], changes: Changes = TURNS + ZOOMS
+) -> Bias:
+    """Bias of keypoints, by images and changed copies of them.
 
     Args:
         extract: features of an image (H, W, 3) in [0, 1].
         images: with something to see in them.
+        changes: turns in degrees and factors of the copies.
     """
-    found = [_of_image(extract, np.asarray(image, np.float32)) for image in images]
+    found = [_of_image(extract, np.asarray(image, np.float32), changes) for image in images]
     errors = np.stack([error for error, count in found if count])
     spread = errors.std(axis=0, ddof=1) / np.sqrt(len(errors))
     return Bias(errors.mean(axis=0), spread, sum(count for _, count in found))
 
 
 def _of_image(
-    extract: Callable[[np.ndarray], Features], image: Float[np.ndarray, "h w 3"]
+    extract: Callable[[np.ndarray], Features], image: Float[np.ndarray, "h w 3"], changes: Changes
 ) -> tuple[Float[np.ndarray, "2"], int]:
-    """The error by least squares over all angles, and the number of matches."""
+    """The error by least squares over all changes, and the number of matches."""
     height, width = image.shape[:2]
     straight, slopes, misses = extract(image), [], []
-    for angle in ANGLES:
-        turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, 1.0)
-        turned = cv2.warpAffine(
-            image, turn, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101
+    for angle, factor in changes:
+        change = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, factor)
+        # Smaller images get no finer detail than their pixels can hold.
+        source = cv2.GaussianBlur(image, (0, 0), 0.5 / factor) if factor < 1 else image
+        changed = cv2.warpAffine(
+            source, change, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101
         )
-        other = extract(np.clip(turned, 0, 1))
+        other = extract(np.clip(changed, 0, 1))
         matches = match(straight, other)
         valid = np.asarray(matches.valid)
         here = np.asarray(straight.keypoints, np.float64)[valid]
         there = np.asarray(other.keypoints, np.float64)[np.asarray(matches.index_b)[valid]]
-        misses.append(there - (here @ turn[:, :2].T + turn[:, 2]))
-        slopes.append(np.broadcast_to(np.eye(2) - turn[:, :2], (len(here), 2, 2)))
+        misses.append(there - (here @ change[:, :2].T + change[:, 2]))
+        slopes.append(np.broadcast_to(np.eye(2) - change[:, :2], (len(here), 2, 2)))
     return _explanation(np.concatenate(slopes), np.concatenate(misses))
 
 
@@ -138,14 +146,15 @@ def main() -> None:
     for name in options.extractors:
         extractor = make_extractor(name, max_keypoints=KEYPOINTS, weights=options.weights)
         for label, shown in images.items():
-            bias = keypoint_bias(extractor.extract, shown)
-            cells = (f"{p:+.3f} ± {s:.3f}" for p, s in zip(bias.pixels, bias.sigma, strict=True))
-            rows.append((name, label, *cells, str(bias.matches)))
+            found = [keypoint_bias(extractor.extract, shown, by) for by in (TURNS, ZOOMS, TURNS + ZOOMS)]
+            cells = (f"{p:+.2f} ± {s:.2f}" for b in found for p, s in zip(b.pixels, b.sigma, strict=True))
+            rows.append((name, label, *cells, str(found[-1].matches)))
             if name == "superfeats" and label == "photographs" and options.write:
                 network = load_weights(options.weights)
-                shift = network.shift - jnp.asarray(bias.pixels, jnp.float32)
+                shift = network.shift - jnp.asarray(found[-1].pixels, jnp.float32)
                 save_weights(options.write, eqx.tree_at(lambda n: n.shift, network, shift))
-    print_table("Bias of keypoints, pixels", ("keypoints", "images", "right", "down", "matches"), rows)
+    ways = ("turned: right", "down", "zoomed: right", "down", "both: right", "down")
+    print_table("Bias of keypoints, pixels", ("keypoints", "images", *ways, "matches"), rows)
 
 
 if __name__ == "__main__":
