@@ -134,7 +134,7 @@ class Network(eqx.Module):
         context: its convolutional module, which narrows, looks at the cells around, and widens.
         detect: 1 x 1 convolution to the 65 logits of keypoints.
         shift: (2,) pixels (u, v) added to keypoints. No loss sees an error that all keypoints have in common,
-            so it is measured after the training, see `centred`.
+            so it is measured after the training (`experiments.keypoint_bias`).
     """
 
     levels: tuple[Level, ...]
