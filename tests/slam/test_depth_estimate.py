@@ -117,7 +117,10 @@ def test_recorrected_features_are_those_of_corrected_depth(recording, pair, sett
             np.sum((np.asarray(x.normals) * np.asarray(b.normals))[both], axis=-1) for x in (a, raw)
         )
         assert np.mean(1 - turned) < np.mean(1 - kept) / 5
-    np.testing.assert_allclose(found.keypoints.points, wanted.keypoints.points, atol=2e-3)
+    # At an outline the correction may decide whether a keypoint's depth is believed.
+    both = (np.asarray(found.keypoints.depth) > 0) & (np.asarray(wanted.keypoints.depth) > 0)
+    assert both.sum() > 0.98 * np.count_nonzero(wanted.keypoints.depth)
+    np.testing.assert_allclose(found.keypoints.points[both], wanted.keypoints.points[both], atol=2e-3)
 
 
 def test_the_sensitivity_says_how_the_motion_changes(recording, pair, settings):
