@@ -7,6 +7,7 @@ every array.
 
 import dataclasses
 import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -80,6 +81,18 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         "facts": json.dumps(facts),
     }
     write_tensors(folder / STATE_FILE, _named(_without_images(state)), metadata)
+    _remove_returned(state, folder)
+
+
+def _remove_returned(state: SlamState, folder: Path) -> None:
+    """Remove the files of submaps that have come back into the map, once no state on disk names them."""
+    named = {submap.number for submap in state.mapping.submaps}
+    for path in folder.glob("submap-*.safetensors"):
+        number = int(path.stem.removeprefix("submap-"))
+        # A map in a thread of its own may have written newer ones meanwhile.
+        if number < state.mapping.num_submaps and number not in named:
+            with suppress(OSError):
+                path.unlink()
 
 
 def saved_facts(folder: Path | str) -> dict[str, int]:
