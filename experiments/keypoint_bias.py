@@ -5,11 +5,11 @@
 
 An error that all keypoints of an image have in common shows in no pair of like images: it is in both. In an
 image that is turned it points another way, and in one that is larger it is a smaller part of the scene. So
-keypoints of an image and of changed copies are matched, and the error is what explains how they miss each
-other: (I - A) error, with A the turn or the factor.
+keypoints of an image and of changed copies are matched. The error is what explains how they miss each other:
+they do by (I - A) error, with A the turn or the factor.
 
-To tracking such an error is a depth camera that is turned against the colour camera. `--write` stores
-SuperFeats' weights with a shift that removes what was found on the photographs, turned and zoomed.
+To tracking such an error is a depth camera that is turned against the colour camera. With `--write` the
+photographs, turned and zoomed, tell the shift that removes it, and SuperFeats' weights are stored with that.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from experiments.extractors import NAMES, make_extractor
 from experiments.matching_tables import print_table
-from experiments.recordings import SOURCES
+from experiments.recordings import DATA, SOURCES
 from sfgs_jax.datasets import open_recording, read_photos
 from sfgs_jax.superfeats import Features, load_weights, match, save_weights
 
@@ -133,7 +133,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--data", type=Path, default=Path("../shared/data/photos"), help="photographs")
+    parser.add_argument("--data", type=Path, default=DATA / "photos", help="folder of photographs")
     parser.add_argument("--photos", type=int, default=60)
     parser.add_argument("--recordings", nargs="*", default=["redkitchen", "fr1_rpy", "room"])
     parser.add_argument("--extractors", nargs="*", default=list(NAMES), choices=NAMES)

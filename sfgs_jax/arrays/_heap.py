@@ -1,7 +1,7 @@
 """Memory that is free, given back to the system.
 
-The GNU C library keeps what is freed between blocks in use for later. What compilers free lies so, and in a
-long run that becomes as much as all the rest.
+The GNU C library keeps what is freed between blocks in use for later. Compilers leave much of it: in a long
+run as much as all the rest.
 """
 
 import ctypes
