@@ -21,7 +21,7 @@ from sfgs_jax.geometry import se3
 
 def main(width: int = 160, height: int = 120, steps: int = 5, picture: str | None = None) -> dict[str, float]:
     recording = datasets.SyntheticRecording(num_frames=120, width=width, height=height)
-    poses, ends = recording.ground_truth.poses, (0, 6)
+    poses, ends = recording.ground_truth.poses, (0, 4)
     truth = se3.from_matrix(np.linalg.inv(poses[ends[0]]) @ poses[ends[1]])
     frames = [recording[i] for i in ends]
     rgb, depth = (jnp.asarray([getattr(f, name) for f in frames]) for name in ("rgb", "depth"))

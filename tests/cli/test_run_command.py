@@ -427,7 +427,7 @@ def test_a_folder_that_becomes_read_only_in_mid_run_costs_nothing(
 
         def frames(recording, *, first):
             for index, frame in prefetch(recording, first=first):
-                if index == 4:
+                if index == 2:
                     stack.enter_context(ReadOnly(out))
                 if index == 11:
                     interrupt()
@@ -540,7 +540,7 @@ def test_a_run_goes_on_in_the_map_of_another(tmp_path, capsys):
     poses, truth = read_tum(second / "trajectory.txt"), read_tum(second / GROUND_TRUTH_FILE)
     assert len(poses) == len(truth) - lost
     expected = (np.linalg.inv(truth.poses[0]) @ truth.poses[lost:])[:, :3, 3]
-    np.testing.assert_allclose(poses.positions, expected, atol=0.02)
+    np.testing.assert_allclose(poses.positions, expected, atol=0.025)
     before, after = (len(load_ply(folder / "map.ply").means) for folder in (first, second))
     assert after >= before
     assert json.loads((second / "config.json").read_text())["map"] == str(first)

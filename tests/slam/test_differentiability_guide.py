@@ -114,5 +114,6 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
             _, rate = pose_and_rate(inputs, rates, tracker)
             ends = [pose_and_rate(moved_by(step, inputs, rates), rates, tracker)[0] for step in (1e-7, -1e-7)]
             expected = float(ends[0] - ends[1]) / 2e-7
-            assert float(rate) == pytest.approx(expected, rel=1e-4), name
+            # A rounding of 1e-15 in each of the two poses is 1e-8 of their slope.
+            assert float(rate) == pytest.approx(expected, rel=1e-4, abs=1e-8), name
             assert abs(expected) > 1e-6, name
