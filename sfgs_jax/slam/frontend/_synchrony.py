@@ -25,7 +25,7 @@ _CLEAR = 0.2
 _APART, _TOGETHER = 0.6, 0.9
 """Agreement at no lag, as a share of that at the best, below which a lag is believed, and above which it is
 over. In recordings without the fault it stays above 0.7, and its median is 1."""
-_SIGMAS = 5.0
+_SIGMAS = 4.5
 """Standard errors by which the best lag must fit better than none. In a corridor with few outlines it did so
 by 4.0, without a fault."""
 
