@@ -1,4 +1,4 @@
-"""Do keypoints lie where the scene is? Bias of their positions, measured on changed images, and its removal.
+"""Do keypoints lie where the scene is? Changed images tell their bias, and a shift removes it.
 
     python -m experiments.keypoint_bias [--photos 60] [--recordings redkitchen fr1_rpy room]
                                         [--weights FILE] [--write FILE]

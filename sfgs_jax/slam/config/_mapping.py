@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from sfgs_jax.arrays import InputError, check_counts, check_positive, check_range
 
 _GAUSSIAN_BYTES = 177
-"""Of a Gaussian without view dependence: 14 numbers with two moments each, its updates, keyframe and flag."""
+"""A Gaussian without view dependence has 14 numbers with two moments each, its updates, keyframe and flag."""
 
 
 @dataclass(frozen=True)

@@ -111,6 +111,7 @@ def with_submaps(
 
 def _moved(content: GaussianMap, T: Float[np.ndarray, "k 4 4"]) -> GaussianMap:
     """Gaussians moved by the motion of their keyframe, on the host."""
+    # Not by `se3.quaternion_product`: on the device, each size of a submap would be one more program.
     own, gaussians = T[content.keyframes], content.gaussians
     means = np.einsum("nij,nj->ni", own[:, :3, :3], gaussians.means) + own[:, :3, 3]
     a = se3.parameters_of(T)[content.keyframes, :4]
