@@ -98,13 +98,19 @@ def train(
     moving, held = eqx.partition(params.network, trained_parts(params.network))
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps))
     state, rng, losses = optimiser.init(moving), np.random.default_rng(seed), []
+
+    # One program instead of one for each operation and each array's shape.
+    @jax.jit
+    def moved(moving: Network, state: optax.OptState, slopes: tuple[Network, ...]) -> tuple:
+        mean = jax.tree.map(lambda *x: sum(x) / len(x), *slopes)
+        change, state = optimiser.update(mean, state)
+        return eqx.apply_updates(moving, change), state
+
     for _ in range(steps):
         chosen = rng.choice(len(windows), min(BATCH, len(windows)), replace=False)
         found = [_value_and_slope(loss, moving, held, params, windows[i]) for i in chosen]
         values, slopes = zip(*found, strict=True)
-        mean = jax.tree.map(lambda *x: sum(x) / len(x), *slopes)
-        change, state = optimiser.update(mean, state)
-        moving = eqx.apply_updates(moving, change)
+        moving, state = moved(moving, state, slopes)
         losses.append(float(np.mean(values)))
     return Training(eqx.combine(moving, held), losses)
 

@@ -15,10 +15,50 @@ import pytest  # noqa: E402
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+# A program that carries the call stack of each of its operations takes a twentieth longer to compile.
+jax.config.update("jax_include_full_tracebacks_in_locations", False)
 
 # Tracing makes millions of objects that live long. Looking for cycles among them at Python's default rate
 # takes a third of its time.
 gc.set_threshold(100_000, 20, 100)
+
+
+_LONG_FILES = (
+    "slam/test_differentiability_guide.py",
+    "test_examples.py",
+    "slam/test_depth_estimate.py",
+    "slam/test_lost.py",
+    "slam/test_mapping.py",
+    "slam/test_contradictions.py",
+    "slam/test_merge.py",
+    "slam/test_timing_estimate.py",
+    "slam/test_step.py",
+    "factor_graph/test_solve.py",
+    "cli/test_run_command.py",
+    "cli/test_merge_command.py",
+    "cli/test_batch_command.py",
+    "splatting/test_rendering.py",
+    "viewer/test_live_view.py",
+    "viewer/test_server_rendering.py",
+    "viewer/test_page_of_a_run.py",
+    "superfeats/test_training.py",
+    "experiments/test_learn_through_slam.py",
+    "experiments/test_train_superfeats.py",
+    "experiments/test_self_calibration.py",
+    "experiments/test_learned_robustness.py",
+    "gicp/test_point_clouds.py",
+    "gicp/test_exact_products.py",
+    "gicp/test_matches.py",
+    "gicp/test_derivatives.py",
+)
+"""About from the longest on, and those of one folder together, for they share programs."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest, so that no worker is left with one at the end."""
+    folder = Path(__file__).parent
+    places = {folder / name: place for place, name in enumerate(_LONG_FILES)}
+    items.sort(key=lambda item: places.get(item.path, len(places)))
 
 
 def pytest_unconfigure() -> None:

@@ -348,11 +348,11 @@ def test_refinement_turns_views_and_their_neighbours_to_where_the_images_fit(ref
         for view, turn in zip(mapping.views, turns, strict=True)
     )
     spoiled = mapping = replace(mapping, views=views)
-    rates = LearningRates(0.0, 0.0, 0.0, 0.0, 0.0, poses=1e-3)
+    rates = LearningRates(0.0, 0.0, 0.0, 0.0, 0.0, poses=2e-3)
     config = state.config.mapping
     config = replace(config, optimisation=replace(config.optimisation, learning_rates=rates))
-    for number in range(80):
-        done = number / 80
+    for number in range(40):
+        done = number / 40
         mapping, _ = refine_once(mapping, state.mapping_camera, config, number=number, done=done, seed=0)
 
     def off(mapping):
