@@ -1,4 +1,4 @@
-"""Distortion of a depth camera: an error of inverse depth that varies smoothly over the image."""
+"""Calibration of a depth camera: a smooth error of inverse depth, and its pose beside the colour camera."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -6,6 +6,7 @@ from jax.lax import Precision
 from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Camera, clean_depth
+from sfgs_jax.sensors._depth_registration import registered_depth
 
 DEPTH_GRID = (6, 16)
 """Rows and columns of the grid. A Kinect's distortion has vertical bands, about a tenth of the image wide."""
@@ -15,16 +16,34 @@ class DepthCorrection(eqx.Module):
     """Correction of depth: 1 / z = 1 / measured - offset, with an offset of each pixel for all frames.
 
     Structured light and stereo measure a disparity, so an error of their calibration is one of inverse depth.
-    The offsets are those of a grid, interpolated linearly between its nodes. All zeros change nothing.
-    Gradients reach the grid.
+    The offsets are those of a grid, interpolated linearly between its nodes. Then depth is seen from the
+    colour camera: `extrinsic` is what the camera's own registration leaves out. All zeros change nothing.
+    Gradients reach both fields.
 
     Source: Schöps, Sattler and Pollefeys, BAD SLAM (CVPR 2019), section 3.3, with a grid like theirs.
 
     Attributes:
         offsets: (R, C) of the nodes, 1/m; those at the ends lie on the image's borders.
+        extrinsic: (6,) tangent of T_colour_depth, metres and radians; None where there is none.
     """
 
     offsets: Float[Array, "R C"]
+    extrinsic: Float[Array, "6"] | None = None
+
+    @property
+    def vector(self) -> Float[Array, " G"]:
+        """All parameters: the offsets row by row, then the extrinsic, zeros where there is none."""
+        offsets, extrinsic = self.offsets.reshape(-1), self.extrinsic
+        return jnp.concatenate([offsets, jnp.zeros(6, offsets.dtype) if extrinsic is None else extrinsic])
+
+    def with_vector(self, parameters: Float[Array, " G"]) -> "DepthCorrection":
+        """A correction like this one with other parameters.
+
+        Args:
+            parameters: in the order of `vector`; the extrinsic's count for nothing where there is none.
+        """
+        extrinsic = None if self.extrinsic is None else parameters[-6:]
+        return DepthCorrection(parameters[:-6].reshape(self.offsets.shape), extrinsic)
 
     def image(self, camera: Camera) -> Float[Array, "H W"]:
         """Offsets of all pixels, 1/m.
@@ -50,14 +69,17 @@ class DepthCorrection(eqx.Module):
         return jnp.matmul(self.offsets.reshape(-1), shares, precision=Precision.HIGHEST)
 
     def corrected(self, depth: Float[Array, "H W"], camera: Camera) -> Float[Array, "H W"]:
-        """Depth without the distortion, metres; what would lie behind infinity is missing, 0.
+        """Depth without the distortion in colour's camera, metres; behind infinity it is missing, 0.
 
         Args:
             depth: metres along z; not finite or not positive counts as missing.
             camera: of the image.
         """
         depth, valid = clean_depth(depth)
-        return corrected_depth(depth, jnp.where(valid, self.image(camera), 0))
+        undistorted = corrected_depth(depth, jnp.where(valid, self.image(camera), 0))
+        if self.extrinsic is None:
+            return undistorted
+        return registered_depth(undistorted, camera, self.extrinsic)
 
 
 def corrected_depth(depth: Float[Array, "*n"], offsets: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -19,6 +19,8 @@ TIME_NAMES = ("depth_delay", "colour_readout", "depth_readout")
 
 # Seconds, and 1/m. No camera is so late, and no depth so wrong.
 _LARGEST = 10.0
+# Metres and radians. A registration that leaves so much out is none.
+_LARGEST_EXTRINSIC = 0.2
 
 
 def read_sensors(path: Path) -> SensorModel:
@@ -33,6 +35,8 @@ def read_sensors(path: Path) -> SensorModel:
     try:
         found = json.loads(path.read_text(encoding="utf-8-sig"))
         times, offsets = found.get("times_s"), found.get("depth_offsets_per_m")
+        tangent = found.get("T_colour_depth_tangent")
+        extrinsic = None if tangent is None else np.asarray(tangent, np.float64)
         seconds = None if times is None else [float(times[name]) for name in TIME_NAMES]
         depth = None if offsets is None else np.asarray(offsets, np.float64)
     except OSError as error:
@@ -46,5 +50,14 @@ def read_sensors(path: Path) -> SensorModel:
     if depth is not None and (depth.shape != DEPTH_GRID or not (np.abs(depth) < _LARGEST).all()):
         rows, columns = DEPTH_GRID
         raise InputError(f"{path} needs {rows} rows of {columns} offsets of depth, all of them finite.")
+    if extrinsic is not None and not (
+        extrinsic.shape == (6,) and (np.abs(extrinsic) < _LARGEST_EXTRINSIC).all()
+    ):
+        raise InputError(
+            f"{path} needs six numbers of the extrinsic, in metres and radians, below {_LARGEST_EXTRINSIC:g}."
+        )
     timing = None if seconds is None else SensorTiming(*seconds)
-    return SensorModel(timing, None if depth is None else DepthCorrection(jnp.asarray(depth, jnp.float32)))
+    if depth is None:
+        return SensorModel(timing)
+    extrinsic = None if extrinsic is None else jnp.asarray(extrinsic, jnp.float32)
+    return SensorModel(timing, DepthCorrection(jnp.asarray(depth, jnp.float32), extrinsic))

@@ -29,9 +29,13 @@ def depth(rng):
     return jnp.asarray(rng.uniform(0.5, 5, CAMERA.shape), jnp.float32)
 
 
-def test_zero_offsets_change_nothing(depth):
-    same = corrected(DepthCorrection(jnp.zeros(DEPTH_GRID)), depth, CAMERA)
-    np.testing.assert_array_equal(same, depth)
+def test_zeros_change_nothing(depth):
+    smooth = jnp.asarray(np.sort(np.asarray(depth), axis=None).reshape(depth.shape))
+    for image in (depth, smooth):
+        same = corrected(DepthCorrection(jnp.zeros(DEPTH_GRID)), image, CAMERA)
+        np.testing.assert_array_equal(same, image)
+        same = corrected(DepthCorrection(jnp.zeros(DEPTH_GRID), jnp.zeros(6)), image, CAMERA)
+        np.testing.assert_allclose(same, image, rtol=1e-6)
 
 
 def test_a_distortion_of_the_same_offsets_is_undone(correction, depth):
