@@ -1,13 +1,14 @@
 """The state before the first frame."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from sfgs_jax.geometry import Camera, require_camera
 from sfgs_jax.sensors import SensorModel, block_means
 from sfgs_jax.slam.config import SlamConfig
-from sfgs_jax.slam.frontend import init_tracker, offsets_in_use, tracker_params
+from sfgs_jax.slam.frontend import estimated_timing, init_tracker, offsets_in_use, tracker_params
 from sfgs_jax.slam.keyframes import prior_noise
 from sfgs_jax.slam.state import (
     SlamState,
@@ -34,12 +35,17 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
     require_camera(camera)
     config = config or SlamConfig()
     params = tracker_params(camera, config.tracking, sensors)
+    tracker = init_tracker(params)
+    graph = empty_graph(offsets_in_use(params), prior_noise(config.graph))
+    if config.tracking.estimate_timing:
+        _, covariance = estimated_timing(params, tracker)
+        graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))
     views = mapping_camera(camera, config.mapping)
     return SlamState(
         config=config,
         params=params,
-        tracker=init_tracker(params),
-        graph=empty_graph(offsets_in_use(params), prior_noise(config.graph)),
+        tracker=tracker,
+        graph=graph,
         mapping=empty_map_state(
             config.mapping, pixels=math.prod(views.shape), timed=config.tracking.estimate_timing
         ),

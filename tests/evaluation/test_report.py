@@ -64,11 +64,15 @@ def test_the_page_shows_what_was_found_about_the_camera(run):
         "times_sigma_s": {"depth_delay": 0.0011, "colour_readout": 0.001, "depth_readout": 0.001},
         "depth_offsets_per_m": np.linspace(-0.005, 0.01, 96).reshape(6, 16).tolist(),
         "depth_offsets_sigma_per_m": np.full((6, 16), 0.0005).tolist(),
+        "T_colour_depth_tangent": [0.0123, -0.004, 0.0, 0.002, 0.0, -0.01],
+        "T_colour_depth_sigma": [0.001] * 3 + [0.0005] * 3,
     }
     (folder / "sensors.json").write_text(json.dumps(found))
     page = _Page(write_report(folder, recording).read_text())
     assert "Depth after colour12.3 ± 1.1 ms" in page.text
     assert "Correction of depth at 2 m-20 to 40 ± 2 mm" in page.text
+    assert "Depth camera beside the colour camera (x, y, z)12.3, -4.0, 0.0 ± 1.0 mm" in page.text
+    assert "Depth camera turned against it (x, y, z)0.11, 0.00, -0.57 ± 0.03 °" in page.text
     assert not page.open
     assert all(link.startswith(("data:", "#")) for link in page.links)
 

@@ -20,13 +20,13 @@ SCALES = np.repeat([0.004, 0.003], 3)
 
 def edges_with(errors, pairs, poses):
     """Edges of true motions that err by some tangents."""
-    none, information = np.zeros(0), 1e8 * np.eye(6, dtype=np.float32)
+    none, free, information = np.zeros(0), np.zeros((6, 0)), 1e8 * np.eye(6, dtype=np.float32)
     found = []
     for (a, b), error in zip(pairs, errors, strict=True):
         motion = se3.from_matrix(np.linalg.inv(poses[a]) @ poses[b])
         motion = np.asarray(se3.compose(motion, se3.exp(jnp.asarray(error, jnp.float32))).wxyz_xyz)
         told = (motion, information)
-        found.append(Edge(a, b, *told, *told, False, False, none, np.zeros((6, 0))))
+        found.append(Edge(a, b, *told, *told, False, False, none, free, free))
     return tuple(found)
 
 
@@ -103,28 +103,29 @@ def test_what_is_open_about_the_sensors_widens_all_edges(room, config, graph):
         times=np.zeros(3, np.float32),
         edition=0,
     )
-    edge = replace(
-        graph.edges[0], offsets=state.graph.offsets, sensitivity=np.zeros((6, len(state.graph.offsets)))
+    free = np.zeros((6, len(state.graph.offsets)))
+    edge = replace(graph.edges[0], offsets=state.graph.offsets, sensitivity=free, surface_sensitivity=free)
+    alone = replace(
+        state.graph,
+        keyframes=(resting, replace(resting, twist=turning)),
+        edges=(edge,),
+        times_covariance=np.zeros((3, 3)),
     )
-    alone = replace(state.graph, keyframes=(resting, replace(resting, twist=turning)), edges=(edge,))
     known = edge_noise(state.params, alone, config.graph).covariance
     np.testing.assert_array_equal(known, prior_noise(config.graph).covariance)
     late = replace(alone, times_covariance=np.diag([0.004**2, 0, 0]))
     more = edge_noise(state.params, late, config.graph).covariance - known
     np.testing.assert_allclose(np.diag(more), [0, 0, 0, 0, (0.5 * 0.004) ** 2, 0], atol=1e-12)
     # The mean of the offsets moves the camera by a metre for each 1/m; by the prior they err on their own.
-    edge = replace(
-        edge, sensitivity=np.eye(6)[:, 2:3] / len(state.graph.offsets) * np.ones(len(state.graph.offsets))
-    )
-    bent = replace(alone, edges=(edge,))
+    moving, count = free.copy(), len(state.graph.offsets) - 6
+    moving[2, :count] = 1 / count
+    bent = replace(alone, edges=(replace(edge, sensitivity=moving),))
     told = 1e6 * np.eye(len(state.graph.offsets))
     wide, narrow = (
         edge_noise(state.params, g, config.graph).covariance[2, 2] - known[2, 2]
         for g in (bent, replace(bent, depth=replace(bent.depth, information=told)))
     )
-    np.testing.assert_allclose(
-        np.sqrt(wide), state.config.tracking.depth_sigma / np.sqrt(len(state.graph.offsets)), rtol=0.01
-    )
+    np.testing.assert_allclose(np.sqrt(wide), state.config.tracking.depth_sigma / np.sqrt(count), rtol=0.01)
     assert narrow < 0.05 * wide
 
 

@@ -75,8 +75,8 @@ def drifted(room, config, circle):
 
 def edge(a, b, T):
     information = np.eye(6, dtype=np.float32) * 1e4
-    motion, none = np.asarray(T.wxyz_xyz), np.zeros(0)
-    return Edge(a, b, motion, information, motion, information, b - a > 6, False, none, np.zeros((6, 0)))
+    motion, none, free = np.asarray(T.wxyz_xyz), np.zeros(0), np.zeros((6, 0))
+    return Edge(a, b, motion, information, motion, information, b - a > 6, False, none, free, free)
 
 
 def true_loop(circle, a, b):

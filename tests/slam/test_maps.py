@@ -129,7 +129,7 @@ def _graph(runs, references, places):
 def _edge(target, source, shift, deviation=0.01):
     motion = np.asarray([1, 0, 0, 0, shift, 0, 0], np.float32)
     information = np.eye(6, dtype=np.float32) / deviation**2
-    offsets = np.zeros(0), np.zeros((6, 0))
+    offsets = np.zeros(0), np.zeros((6, 0)), np.zeros((6, 0))
     return Edge(target, source, motion, information, motion, information, False, True, *offsets)
 
 

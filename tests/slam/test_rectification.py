@@ -52,7 +52,9 @@ def keypoints_at(recording, pixels):
     depth = jnp.asarray(recording[NUMBER].depth)[pixels[:, 1], pixels[:, 0]]
     count, at = len(pixels), jnp.asarray(pixels, jnp.float32)
     features = Features(at, jnp.ones(count), jnp.zeros((count, 64)), jnp.ones(count, bool))
-    return Keypoints(features, depth, recording.camera.unproject(at, depth), jnp.zeros(64))
+    return Keypoints(
+        features, depth, recording.camera.unproject(at, depth), jnp.zeros((len(at), 3)), jnp.zeros(64)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -134,11 +136,11 @@ def early(recordings, seen):
         edition=0,
     )
     edges = tuple(
-        Edge(a, b, one, matrix, one, matrix, revisit=False, loop=loop, offsets=none, sensitivity=free)
+        Edge(a, b, one, matrix, one, matrix, False, loop, none, free, free)
         for a, b, loop in ((0, 1, False), (1, 2, False), (0, 2, True))
     )
     graph = empty_graph(none, prior_noise(config.graph))
-    return params, replace(graph, keyframes=(keyframe,), edges=edges, pending=((0, 1), (1, 2)))
+    return params, replace(graph, keyframes=(keyframe,), edges=edges)
 
 
 def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordings, seen, motion, early):
@@ -148,7 +150,7 @@ def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordi
     graph = with_first_motion(graph, np.asarray(motion.twist))
     assert graph.keyframes[0].features is seen, "no times are known yet"
     graph = rectified_anew(params, graph, TIMES / 2, slam.GraphConfig())
-    assert graph.pending == ((0, 1), (1, 2))
+    assert graph.again == ((0, 1),)
     graph = rectified_anew(params, graph, TIMES, slam.GraphConfig())
     assert [k.edition for k in graph.keyframes] == [2]
     assert len(graph.edges) == 3, "they hold until they are replaced"

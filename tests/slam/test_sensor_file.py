@@ -16,7 +16,8 @@ from sfgs_jax.slam.run import write_sensors
 @pytest.fixture
 def known():
     offsets = np.linspace(-0.01, 0.02, 96, dtype=np.float32).reshape(DEPTH_GRID)
-    return SensorModel(SensorTiming(0.01, 0.02, 0.03), DepthCorrection(jnp.asarray(offsets)))
+    extrinsic = jnp.asarray([0.01, -0.02, 0.005, 0.002, 0.004, -0.006])
+    return SensorModel(SensorTiming(0.01, 0.02, 0.03), DepthCorrection(jnp.asarray(offsets), extrinsic))
 
 
 def estimating(config, **settings):
@@ -24,18 +25,32 @@ def estimating(config, **settings):
 
 
 def test_the_next_run_begins_where_the_last_ended(room, config, known, tmp_path):
-    both = estimating(config, estimate_timing=True, estimate_depth=True)
+    both = estimating(config, estimate_timing=True, estimate_depth=True, estimate_extrinsic=True)
     state = slam.init(room.camera, both, known)
     write_sensors(state, tmp_path / "sensors.json")
     again = slam.init(room.camera, both, read_sensors(tmp_path / "sensors.json"))
     np.testing.assert_allclose(again.params.timing.vector, known.timing.vector, rtol=1e-6)
     assert again.params.depth_correction is not None
     np.testing.assert_allclose(again.params.depth_correction.offsets, known.depth.offsets, rtol=1e-6)
-    np.testing.assert_allclose(again.graph.depth.start, known.depth.offsets.ravel(), rtol=1e-6)
+    np.testing.assert_allclose(again.params.depth_correction.vector, known.depth.vector, rtol=1e-6)
+    np.testing.assert_allclose(again.graph.depth.start, known.depth.vector, rtol=1e-6)
     found = json.loads((tmp_path / "sensors.json").read_text())
     # Nothing was seen yet: these are the deviations of the prior.
     assert found["times_sigma_s"]["depth_delay"] == pytest.approx(config.tracking.delay_sigma, rel=1e-3)
     assert np.shape(found["depth_offsets_sigma_per_m"]) == DEPTH_GRID
+    shift, turn = config.tracking.extrinsic_shift_sigma, config.tracking.extrinsic_turn_sigma
+    np.testing.assert_allclose(found["T_colour_depth_sigma"], [shift] * 3 + [turn] * 3, rtol=1e-6)
+
+
+def test_a_file_without_an_extrinsic_says_that_there_is_none(known, tmp_path):
+    path = tmp_path / "sensors.json"
+    offsets = np.zeros(DEPTH_GRID).tolist()
+    path.write_text(json.dumps({"depth_offsets_per_m": offsets}))
+    assert read_sensors(path).depth.extrinsic is None
+    for wrong in ([0.0] * 5, [1.0] * 6, [float("nan")] * 6, "wide"):
+        path.write_text(json.dumps({"depth_offsets_per_m": offsets, "T_colour_depth_tangent": wrong}))
+        with pytest.raises(InputError, match=r"sensors\.json"):
+            read_sensors(path)
 
 
 def test_a_run_that_estimates_nothing_writes_nothing(room, config, tmp_path):

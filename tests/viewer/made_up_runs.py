@@ -47,8 +47,8 @@ def first_state(recording: SyntheticRecording) -> SlamState:
     keyframe = Keyframe(
         feature_shapes(state.params), np.full(4, -1), 0, 0, identity, np.zeros(0), still, still[:3], 0
     )
-    information, offsets = np.eye(6), np.zeros(0)
-    loop = Edge(0, 1, identity, information, identity, information, True, True, offsets, np.zeros((6, 0)))
+    information, offsets, free = np.eye(6), np.zeros(0), np.zeros((6, 0))
+    loop = Edge(0, 1, identity, information, identity, information, True, True, offsets, free, free)
     graph = replace(
         state.graph,
         keyframes=(keyframe, keyframe),

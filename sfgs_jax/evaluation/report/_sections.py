@@ -82,7 +82,24 @@ def sensors_section(run_dir: Path) -> str:
             (f"Correction of depth at {SEEN_AT:g} m", f"{off.min():.0f} to {off.max():.0f} ± {sigma:.0f} mm")
         )
         picture = plot_depth_correction(off)
+    if "T_colour_depth_tangent" in found:
+        rows += _extrinsic_rows(found["T_colour_depth_tangent"], found["T_colour_depth_sigma"])
     return section("Camera", table(("", "estimated"), rows, numbers=True) + picture)
+
+
+def _extrinsic_rows(tangent: list[float], sigma: list[float]) -> list[tuple[str, str]]:
+    """What the registration of depth to colour leaves out, axis by axis, with mean standard deviations."""
+    (*shift, x, y, z), (*shift_sigma, a, b, c) = tangent, sigma
+    degrees = 180 / np.pi
+    return [
+        ("Depth camera beside the colour camera (x, y, z)", _axes(shift, shift_sigma, 1e3, 1) + " mm"),
+        ("Depth camera turned against it (x, y, z)", _axes([x, y, z], [a, b, c], degrees, 2) + " °"),
+    ]
+
+
+def _axes(values: list[float], sigmas: list[float], unit: float, digits: int) -> str:
+    numbers = ", ".join(f"{unit * value:.{digits}f}" for value in values)
+    return f"{numbers} ± {unit * float(np.mean(sigmas)):.{digits}f}"
 
 
 def _keyframes(run_dir: Path) -> Trajectory:

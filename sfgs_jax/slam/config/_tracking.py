@@ -109,6 +109,14 @@ class TrackingConfig:
     depth_step_sigma: float = 0.0025
     """Standard deviation of the change of that error over a sixteenth of the image, as known before the first
     frame, 1/m."""
+    estimate_extrinsic: bool = False
+    """Whether `estimate_depth` also finds where the depth camera is beside the colour camera. The turn about
+    the axis that the camera itself turns about shows least."""
+    extrinsic_shift_sigma: float = 0.01
+    """Standard deviation of the depth camera's position along each axis, as known before the first frame,
+    metres."""
+    extrinsic_turn_sigma: float = 0.01
+    """Standard deviation of the depth camera's rotation about each axis, likewise, radians."""
     motion_model_sigma: float = 0.1
     """Standard deviation of the constant-velocity motion model, metres and radians."""
     min_inlier_fraction: float = 0.3
@@ -165,6 +173,7 @@ class TrackingConfig:
         check_positive(self, "max_scale_change", "max_depth_scatter")
         check_positive(self, "max_position_sigma")
         check_positive(self, "depth_sigma", "depth_step_sigma", "depth_tilt_sigma")
+        check_positive(self, "extrinsic_shift_sigma", "extrinsic_turn_sigma")
         check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
         check_range(self, 0, 1, "keyframe_inlier_fraction")
         check_range(self, 0, math.inf, "max_correction_alone", "search_angle", "max_disagreement")

@@ -48,6 +48,8 @@ def tracker_params(
         )
     network = load_weights() if config.features.kind == "superfeats" else None
     correction = sensors.depth or DepthCorrection(jnp.zeros(DEPTH_GRID))
+    if config.estimate_extrinsic and correction.extrinsic is None:
+        correction = DepthCorrection(correction.offsets, jnp.zeros(6, correction.offsets.dtype))
     correction = correction if config.estimate_depth else None
     return TrackerParams(camera, network, sensors.timing or SensorTiming(), correction, config)
 
@@ -108,7 +110,8 @@ def frame_features(
     at = _depth_at(depth, features.keypoints, config.features.depth_tolerance)
     points = params.camera.unproject(features.keypoints, jnp.where(at > 0, at, 1))
     cloud = gicp.prepare(depth, params.camera, config=config.gicp)
-    return FrameFeatures(cloud, Keypoints(features, at, points, image_signature(features)))
+    normals = _normals_at(cloud.levels[0], points)
+    return FrameFeatures(cloud, Keypoints(features, at, points, normals, image_signature(features)))
 
 
 def with_corrected_depth(params: TrackerParams, frame: Frame) -> Frame:
@@ -172,6 +175,14 @@ def _with_contrast(features: Features, grey: Float[Array, "H W"], least: float) 
     contrast = bends[jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1)]
     valid = features.valid & (contrast >= least)
     return Features(features.keypoints, features.scores, features.descriptors, valid)
+
+
+def _normals_at(level: gicp.OrganisedLevel, points: Float[Array, "k 3"]) -> Float[Array, "k 3"]:
+    """Normals of the surface at the pixels of some points, 0 where there is none."""
+    height, width = level.valid.shape
+    u, v = jnp.round(level.camera.project(jax.lax.stop_gradient(points))).astype(jnp.int32).T
+    row, column = jnp.clip(v, 0, height - 1), jnp.clip(u, 0, width - 1)
+    return jnp.where(level.valid[row, column][:, None], level.normals[row, column], 0)
 
 
 def _depth_at(

@@ -1,4 +1,4 @@
-"""Features of a frame after the estimate of its depth's distortion has changed."""
+"""Features of a frame after the estimate of its depth's errors has changed."""
 
 from dataclasses import replace
 
@@ -10,20 +10,21 @@ from jaxtyping import Float
 from sfgs_jax import gicp
 from sfgs_jax.arrays import dot
 from sfgs_jax.geometry import Camera
-from sfgs_jax.sensors import DepthCorrection, corrected_depth
+from sfgs_jax.sensors import DepthCorrection, carried, corrected_depth, depth_slopes, turned
+from sfgs_jax.slam.frontend._rectification import on_pixels, origins
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
 from sfgs_jax.slam.state._keyframe_graph import Keyframe
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
 
 
 def offsets_in_use(params: TrackerParams) -> Float[np.ndarray, " G"]:
-    """Offsets of the depth correction of new frames, 1/m; none if depth is not corrected.
+    """Parameters of the depth correction of new frames; none if depth is not corrected.
 
     Args:
         params: parameters of tracking.
     """
     correction = params.depth_correction
-    return np.zeros(0) if correction is None else np.asarray(correction.offsets, np.float64).reshape(-1)
+    return np.zeros(0) if correction is None else np.asarray(correction.vector, np.float64)
 
 
 def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:
@@ -49,7 +50,7 @@ def with_depth_offsets(
     Args:
         params: parameters of tracking.
         tracker: whose features have their correction.
-        offsets: of the new correction, 1/m.
+        offsets: parameters of the new correction.
     """
     change = _grid(params, offsets - offsets_in_use(params))
     references, last = _recorrected_tracker(tracker, params.camera, change)
@@ -69,8 +70,8 @@ def _recorrected_tracker(
 
 def _grid(params: TrackerParams, offsets: Float[np.ndarray, " G"]) -> DepthCorrection:
     assert params.depth_correction is not None
-    like = params.depth_correction.offsets
-    return DepthCorrection(jnp.asarray(offsets.reshape(like.shape), like.dtype))
+    like = params.depth_correction
+    return like.with_vector(jnp.asarray(offsets, like.offsets.dtype))
 
 
 @jax.jit
@@ -78,12 +79,12 @@ def recorrected(features: FrameFeatures, camera: Camera, change: DepthCorrection
     """Features as they would be with another correction of depth.
 
     Points move along their rays. The normals turn with the planes: a plane stays one while the offsets vary
-    linearly, and its inverse depth loses theirs.
+    linearly, and its inverse depth loses theirs. Then all of the surface moves with the depth camera.
 
     Args:
         features: of a frame, with the correction before.
         camera: intrinsics.
-        change: offsets now minus offsets before.
+        change: correction now minus correction before.
     """
     cloud = gicp.OrganisedCloud(tuple(_recorrected_level(level, change) for level in features.cloud.levels))
     return FrameFeatures(cloud, _recorrected_keypoints(features.keypoints, camera, change))
@@ -100,17 +101,29 @@ def _recorrected_level(level: gicp.OrganisedLevel, change: DepthCorrection) -> g
     constant = offset - (slope[0] * points[0] + slope[1] * points[1]) / depth
     linear = jnp.stack([*slope, constant])
     # A plane n p = d has the inverse depth (n / d) (x / z, y / z, 1); normals face the camera, so d < 0.
-    turned = normals - dot(normals, points)[None] * linear
-    length = jnp.sqrt(dot(turned, turned))
-    moved = corrected_depth(depth, offset)
-    valid &= (moved > 0) & (length > 0)
-    surface = jnp.concatenate([points * (moved / depth)[None], turned / jnp.where(valid, length, 1)[None]])
-    surface = jnp.where(valid[None], surface, 0).T.reshape(level.surface.shape)
-    return replace(level, surface=surface, valid=valid.reshape(level.valid.shape))
+    towards = normals - dot(normals, points)[None] * linear
+    length = jnp.sqrt(dot(towards, towards))
+    known = corrected_depth(depth, offset)
+    valid &= (known > 0) & (length > 0)
+    points, normals = points * (known / depth)[None], towards / jnp.where(valid, length, 1)[None]
+    if change.extrinsic is None:
+        surface = jnp.where(valid[None], jnp.concatenate([points, normals]), 0).T.reshape(level.surface.shape)
+        return replace(level, surface=surface, valid=valid.reshape(level.valid.shape))
+    # As far as the extrinsic's tangent goes in a unit of time.
+    motion, once = change.extrinsic, jnp.ones_like(depth)
+    rays = camera.unproject(camera.pixels().reshape(-1, 2), once).T
+    moved = carried(jnp.where(valid[None], points, rays), motion, once)
+    index, inside = origins(camera, moved)
+    # A row is read in one piece.
+    surface = jnp.concatenate([moved, turned(normals, motion, once)]).T[index].T
+    return on_pixels(level, surface[:3], surface[3:], valid[index] & inside)
 
 
 def _recorrected_keypoints(keypoints: Keypoints, camera: Camera, change: DepthCorrection) -> Keypoints:
     pixels = keypoints.features.keypoints
     depth = corrected_depth(keypoints.depth, change.at(pixels, camera))
+    if change.extrinsic is not None:
+        slopes = depth_slopes(keypoints.points.T, keypoints.normals.T)
+        depth = depth * (1 + jnp.sum(change.extrinsic[:, None] * slopes, axis=0))
     points = camera.unproject(pixels, jnp.where(depth > 0, depth, 1))
     return replace(keypoints, depth=depth, points=points)

@@ -8,7 +8,7 @@ that is sought.
 from dataclasses import replace
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
 from sfgs_jax.arrays import dot
@@ -80,6 +80,47 @@ def _depth_along(
     return jnp.where(known, jnp.maximum(dot(normals, points) / jnp.where(known, along, 1), 0), 0)
 
 
+def origins(camera: Camera, moved: Float[Array, "3 N"]) -> tuple[Int[Array, " N"], Bool[Array, " N"]]:
+    """Which pixel's surface each pixel shows after a small motion, and whether the image had that pixel.
+
+    Found by the flow at the pixel itself, which is smooth but for depth edges.
+
+    Args:
+        camera: of the image.
+        moved: (3, N) where the surface of each pixel is now, row by row.
+    """
+    height, width = camera.shape
+    u, v = jnp.round(2 * camera.pixels().reshape(-1, 2) - camera.project(moved.T)).astype(jnp.int32).T
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return jnp.where(inside, v * width + u, 0), inside
+
+
+def on_pixels(
+    level: gicp.OrganisedLevel,
+    points: Float[Array, "3 N"],
+    normals: Float[Array, "3 N"],
+    valid: Bool[Array, " N"],
+) -> gicp.OrganisedLevel:
+    """A level with another surface, whose planes are met by the rays of the pixels.
+
+    A surface that lies beside its pixels, be it by a part of one, pulls GICP aside where planes meet.
+
+    Args:
+        level: of the same camera.
+        points: (3, N) within a pixel of each ray, row by row.
+        normals: (3, N) likewise, unit vectors.
+        valid: (N,) whether there is a surface.
+    """
+    camera = level.camera
+    rays = camera.unproject(camera.pixels().reshape(-1, 2), jnp.ones_like(points[0])).T
+    along = dot(normals, rays)
+    # Beyond 84 degrees a pixel's width becomes ten in depth.
+    valid &= along < -0.1 * jnp.sqrt(dot(rays, rays))
+    met = rays * (dot(normals, points) / jnp.where(valid, along, 1))[None]
+    surface = jnp.where(valid[None], jnp.concatenate([met, normals]), 0)
+    return replace(level, surface=surface.T.reshape(level.surface.shape), valid=valid.reshape(camera.shape))
+
+
 def _rectified_keypoints(keypoints: Keypoints, camera: Camera, moving: gicp.RowMotion) -> Keypoints:
     """Keypoints, with depth in time, in the camera of the frame's time."""
     pixels = keypoints.features.keypoints
@@ -99,22 +140,16 @@ def _rectified_keypoints(keypoints: Keypoints, camera: Camera, moving: gicp.RowM
 def _rectified_level(level: gicp.OrganisedLevel, moving: gicp.RowMotion) -> gicp.OrganisedLevel:
     """Surface of a level on the pixels of the camera of the frame's time.
 
-    Each pixel takes the surface of the pixel that moves to it, found by the flow at the pixel itself. Flow
-    is smooth but for depth edges.
+    Each pixel takes the surface of the pixel that moves to it.
     """
     camera = level.camera
-    height, width = camera.shape
-    places = row_places(jnp.arange(height, dtype=level.surface.dtype), height)
+    places = row_places(jnp.arange(camera.height, dtype=level.surface.dtype), camera.height)
     times = jnp.broadcast_to(moving.timing.depth_times(places)[:, None], camera.shape).reshape(-1)
     pixels, valid = camera.pixels().reshape(-1, 2), level.valid.reshape(-1)
     rays = camera.unproject(pixels, jnp.ones_like(times))
     seen = jnp.where(valid[:, None], level.points.reshape(-1, 3), rays)
-    moved = camera.project(carried(seen.T, moving.twist, times).T)
-    u, v = jnp.round(2 * pixels - moved).astype(jnp.int32).T
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    index = jnp.where(inside, v * width + u, 0)
+    index, inside = origins(camera, carried(seen.T, moving.twist, times))
 
     surface, at, valid = level.surface.reshape(-1, 6)[index].T, times[index], valid[index] & inside
-    surface = jnp.concatenate([carried(surface[:3], moving.twist, at), turned(surface[3:], moving.twist, at)])
-    surface = jnp.where(valid[None], surface, 0).T.reshape(level.surface.shape)
-    return replace(level, surface=surface, valid=valid.reshape(camera.shape))
+    points, normals = carried(surface[:3], moving.twist, at), turned(surface[3:], moving.twist, at)
+    return on_pixels(level, points, normals, valid)

@@ -254,15 +254,24 @@ def _register_at(inputs: _Inputs, attempt: Int[Array, ""]) -> Registration:
     guess = jaxlie.SE3(_starts(tracker)[attempt])
     identity = se3.identity(guess.wxyz_xyz.dtype).wxyz_xyz
     before = jaxlie.SE3(jnp.where(by_last, identity, tracker.T_reference_cam.wxyz_xyz))
-    sweep = _sweep(params, tracker, before)
+    # Two frames of a steady motion whose rows both lie where they were read fit as they are.
+    rectified = jnp.where(
+        by_last, tracker.last_motion.known, tracker.reference_motions.known[tracker.current]
+    )
+    sweep = _sweep(params, tracker, before, rectified)
     return register(params, seen, target, guess, allowed_sources(tracker, params.config), sweep)
 
 
-def _sweep(params: TrackerParams, tracker: Tracker, T_target_before: jaxlie.SE3) -> gicp.Sweep | None:
-    """Motion of the newest frame while it was read; unknown after a lost frame."""
+def _sweep(
+    params: TrackerParams,
+    tracker: Tracker,
+    T_target_before: jaxlie.SE3,
+    known: Bool[Array, ""] | bool = True,
+) -> gicp.Sweep | None:
+    """Motion of the newest frame while it was read; unknown after a lost frame, and if it is said to be."""
     if not params.config.estimate_timing:
         return None
-    seconds = jnp.where(tracker.lost_in_a_row == 0, tracker.since_tracked, 0)
+    seconds = jnp.where(jnp.asarray(known) & (tracker.lost_in_a_row == 0), tracker.since_tracked, 0)
     return gicp.Sweep(T_target_before, seconds, estimated_timing(params, tracker)[0])
 
 

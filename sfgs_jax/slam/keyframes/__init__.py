@@ -13,8 +13,8 @@ from sfgs_jax.slam.keyframes._depth_equations import DepthEquations as DepthEqua
 from sfgs_jax.slam.keyframes._depth_equations import depth_equations as depth_equations
 from sfgs_jax.slam.keyframes._depth_estimate import estimated_depth as estimated_depth
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise as edge_noise
-from sfgs_jax.slam.keyframes._edge_noise import prior_noise as prior_noise
 from sfgs_jax.slam.keyframes._edges import edge_of as edge_of
+from sfgs_jax.slam.keyframes._edges import prior_noise as prior_noise
 from sfgs_jax.slam.keyframes._edges import relative_poses as relative_poses
 from sfgs_jax.slam.keyframes._graph_step import advance_graph as advance_graph
 from sfgs_jax.slam.keyframes._graph_step import register_pair as register_pair

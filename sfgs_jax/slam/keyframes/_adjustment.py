@@ -20,7 +20,7 @@ from sfgs_jax.factor_graph import (
     marginal_covariances,
     solve,
 )
-from sfgs_jax.sensors import corrected_depth, grid_shares
+from sfgs_jax.sensors import corrected_depth, depth_slopes, grid_shares
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._covariances import best_known
 from sfgs_jax.slam.keyframes._edges import relative_poses
@@ -47,8 +47,9 @@ class Window(eqx.Module):
         members: (W,) number of the keyframe of each pose; -1 where unused.
         anchor: place among them of the keyframe that covariances are relative to, the best known.
         landmarks: (L,) number of each landmark; -1 where unused.
-        offsets: (W, G) by how much the depth correction has changed since the depth of each keyframe's
-            keypoints was measured, 1/m.
+        offsets: (W, G) by how much the parameters of the depth correction have changed since the depth of
+            each keyframe's keypoints was measured.
+        normals: (O, 3) of the surface at each observation.
     """
 
     graph: FactorGraph
@@ -57,6 +58,7 @@ class Window(eqx.Module):
     anchor: Int[Array | np.ndarray, ""]
     landmarks: Int[Array | np.ndarray, " L"]
     offsets: Float[Array | np.ndarray, "W G"]
+    normals: Float[Array | np.ndarray, "O 3"]
 
 
 class Adjusted(eqx.Module):
@@ -84,9 +86,13 @@ def adjust(params: TrackerParams, window: Window) -> Adjusted:
     seen = _reprojections(window.graph)
     depth = seen.depth
     if window.offsets.shape[1]:
-        shares = grid_shares(seen.pixels, params.camera)
+        pixels, camera = jnp.asarray(seen.pixels), params.camera
         changes = jnp.asarray(window.offsets)[jnp.asarray(seen.poses)[:, 0]].T
-        depth = corrected_depth(depth, jnp.sum(shares * changes, axis=0))
+        depth = corrected_depth(depth, jnp.sum(grid_shares(pixels, camera) * changes[:-6], axis=0))
+        slopes = depth_slopes(
+            camera.unproject(pixels, jnp.where(depth > 0, depth, 1)).T, jnp.asarray(window.normals).T
+        )
+        depth = depth * (1 + jnp.sum(slopes * changes[-6:], axis=0))
     graph = eqx.tree_at(
         lambda g: (_reprojections(g).camera, _reprojections(g).depth), window.graph, (params.camera, depth)
     )
@@ -120,7 +126,7 @@ def window_of(
     count = len(members)
     place = np.full(len(graph.keyframes), -1)
     place[members] = np.arange(count)
-    observations, landmarks = _observations(params, graph, config, members)
+    observations, landmarks, normals = _observations(params, graph, config, members)
     points = np.zeros((config.max_landmarks, 3), np.float32)
     points[: len(landmarks)] = positions(graph, landmarks)
     poses = np.pad(graph.poses[members], ((0, size - count), (0, 0)), mode="edge")
@@ -142,6 +148,7 @@ def window_of(
         np.asarray(best_known(graph.covariances[members])),
         np.pad(landmarks, (0, config.max_landmarks - len(landmarks)), constant_values=-1),
         offsets,
+        normals,
     )
 
 
@@ -214,8 +221,8 @@ def _registrations(graph: KeyframeGraph, config: GraphConfig, place: Int[np.ndar
 
 def _observations(
     params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, members: Int[np.ndarray, " w"]
-) -> tuple[RgbdReprojection, Int[np.ndarray, " l"]]:
-    """Reprojections of the members' landmarks, and the numbers of these."""
+) -> tuple[RgbdReprojection, Int[np.ndarray, " l"], Float[np.ndarray, "O 3"]]:
+    """Reprojections of the members' landmarks, the numbers of these, and the normals at the former."""
     keyframes = [graph.keyframes[number] for number in members]
     shown = np.stack([keyframe.landmarks for keyframe in keyframes])
     placed = shown >= 0
@@ -229,8 +236,12 @@ def _observations(
     room = _OBSERVATIONS * config.max_landmarks
     order = order[thinned(index[order], _capacities(config).cluster_poses)][:room]
     row, slot, index = row[order], slot[order], index[order]
-    pixels = np.stack([np.asarray(k.features.keypoints.features.keypoints) for k in keyframes])[row, slot]
-    depth = np.stack([np.asarray(k.features.keypoints.depth) for k in keyframes])[row, slot]
+    keypoints = [k.features.keypoints for k in keyframes]
+    pixels = np.stack([np.asarray(k.features.keypoints) for k in keypoints])[row, slot]
+    depth, normals = (
+        np.stack([np.asarray(getattr(k, name)) for k in keypoints])[row, slot]
+        for name in ("depth", "normals")
+    )
     padding = room - len(order)
     features = params.config.features
     correlation = np.sqrt(features.correlation)
@@ -246,7 +257,7 @@ def _observations(
         kernel="geman_mcclure",
         kernel_width=features.kernel_width,
     )
-    return observations, numbers
+    return observations, numbers, np.pad(normals, ((0, padding), (0, 0)))
 
 
 def _loose_prior(poses: Float[np.ndarray, "W 7"]) -> PosePrior:

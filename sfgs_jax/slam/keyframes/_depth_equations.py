@@ -1,9 +1,11 @@
-"""Equations of the distortion of depth after a registration of two keyframes.
+"""Equations of the errors of depth after a registration of two keyframes.
 
 A camera's distortion of depth moves with the camera. So two surfaces that a motion lays on each other still
-bend against each other, and no other motion removes that. Each registration has its normal equations of the
-pose and the offsets, with the pose eliminated. The offsets are the same for all frames, so the sum of these
-equations is all there is to keep. The same equations say how the motion changes with the offsets.
+bend against each other, and no other motion removes that. If depth's camera is not where it is taken to be,
+the motion that its surfaces tell is not that of colour's keypoints. Each registration has its normal
+equations of the pose and of these errors, with the pose eliminated. The errors are the same for all frames,
+so the sum of these equations is all there is to keep. The same equations say how the motion changes with
+the errors.
 """
 
 from functools import reduce
@@ -19,7 +21,7 @@ from jaxtyping import Array, Float
 from sfgs_jax import gicp
 from sfgs_jax.arrays import dot
 from sfgs_jax.geometry import se3
-from sfgs_jax.sensors import grid_shares
+from sfgs_jax.sensors import depth_slopes, grid_shares
 from sfgs_jax.slam.frontend._registration_rows import keypoint_rows
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import BY_KEYPOINTS, PoseSource, Registration
@@ -34,24 +36,30 @@ lies beside the surface, the more the farther it is. In a room seen without erro
 4 mm at 2 m, and this threshold leaves 0.1 mm. With noise those from 0.7 to 0.97 leave up to 0.9 mm."""
 
 
+_LEAST_EXCESS = 0.01
+"""Surfaces seen without noise count as measured ten times as well as a sensor's, at most."""
+
+
 class DepthEquations(eqx.Module):
-    """A registration's equations of the G offsets, on the host.
+    """A registration's equations of the G parameters of a `DepthCorrection`, on the host.
 
     Attributes:
-        information: (G, G) by the surface, with the pose eliminated, m².
-        vector: (G,) right-hand side, for the difference from the offsets in use, m.
-        sensitivity: (6, G) derivative of the motion's tangent by the offsets.
+        information: (G, G) with the pose eliminated.
+        vector: (G,) right-hand side, for the difference from the correction in use.
+        sensitivity: (6, G) derivative of the motion's tangent by the parameters.
+        surface_sensitivity: (6, G) that of the motion by the surface alone.
     """
 
     information: Float[np.ndarray, "G G"]
     vector: Float[np.ndarray, " G"]
     sensitivity: Float[np.ndarray, "6 G"]
+    surface_sensitivity: Float[np.ndarray, "6 G"]
 
 
 def depth_equations(
     params: TrackerParams, source: FrameFeatures, target: FrameFeatures, found: Registration
 ) -> DepthEquations:
-    """Equations of the offsets after a registration.
+    """Equations of the correction's parameters after a registration.
 
     Args:
         params: parameters of tracking; both frames have its correction.
@@ -59,13 +67,29 @@ def depth_equations(
         target: the frame that it was registered to.
         found: the registration.
     """
-    surface, keypoints = (np.asarray(x, np.float64) for x in _normal_matrices(params, source, target, found))
-    taken = np.linalg.solve(_regular(surface[:6, :6]), surface[:6, 6:])
-    left = surface[6:, 6:] - surface[6:, :6] @ taken
+    matrices = _normal_matrices(params, source, target, found)
+    surface, keypoints, excess = (np.asarray(x, np.float64) for x in matrices)
     kind = int(found.source)
-    both = surface * (kind != PoseSource.KEYPOINTS) + keypoints * (kind in BY_KEYPOINTS)
-    sensitivity = -np.linalg.solve(_regular(both[:6, :6]), both[:6, 6:-1])
-    return DepthEquations(left[:-1, :-1], -left[:-1, -1], sensitivity)
+    by_surface, by_keypoints = kind != PoseSource.KEYPOINTS, kind in BY_KEYPOINTS
+    # The motion moves as the registration weighs both. Surfaces tell the less, the farther they miss each
+    # other.
+    weighed = surface * by_surface + keypoints * by_keypoints
+    told = surface / np.maximum(excess, _LEAST_EXCESS) * by_surface
+    if params.config.estimate_extrinsic:
+        # It shows where the motion of the surfaces is not the keypoints'.
+        told = told + keypoints * by_keypoints
+    left = told[6:, 6:] - told[6:, :6] @ _by_pose(told)
+    return DepthEquations(
+        information=left[:-1, :-1],
+        vector=-left[:-1, -1],
+        sensitivity=-_by_pose(weighed)[:, :-1],
+        surface_sensitivity=-_by_pose(surface)[:, :-1],
+    )
+
+
+def _by_pose(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "6 m"]:
+    """Derivative of the pose's best value by the other unknowns and the residual, with its sign reversed."""
+    return np.linalg.solve(_regular(matrix[:6, :6]), matrix[:6, 6:])
 
 
 def _regular(matrix: np.ndarray) -> np.ndarray:
@@ -76,22 +100,26 @@ def _regular(matrix: np.ndarray) -> np.ndarray:
 @jax.jit
 def _normal_matrices(
     params: TrackerParams, source: FrameFeatures, target: FrameFeatures, found: Registration
-) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
-    """Normal matrices by surface and by keypoints, n = 6 + G + 1: of pose, offsets and residual."""
+) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, ""]]:
+    """Normal matrices of pose, parameters and residual, n = 6 + G + 1, by surface and by keypoints.
+
+    The last is the variance of the surface's residuals over what is expected of them.
+    """
     matrices = []
-    for rows, weight in (
-        _surface_rows(params, source, target, found),
-        _keypoint_rows(params, source, target, found),
-    ):
+    surface, by_surface, excess = _surface_rows(params, source, target, found)
+    for rows, weight in ((surface, by_surface), _keypoint_rows(params, source, target, found)):
         rows = jnp.where(weight[None] > 0, rows, 0)
         matrices.append(jnp.matmul(rows * weight[None], rows.T, precision=Precision.HIGHEST))
-    return matrices[0], matrices[1]
+    return matrices[0], matrices[1], excess
 
 
 def _surface_rows(
     params: TrackerParams, source: FrameFeatures, target: FrameFeatures, found: Registration
-) -> tuple[Float[Array, "n N"], Float[Array, " N"]]:
-    """Distances along the normals of a sample of the finest level, with their derivatives, and weights."""
+) -> tuple[Float[Array, "n N"], Float[Array, " N"], Float[Array, ""]]:
+    """Distances along the normals of a sample of the finest level, with their derivatives.
+
+    Then come their weights, and their variance over what is expected.
+    """
     T, config = found.T_target_source, params.config.gicp
     problem = gicp.level_problem(
         source.cloud.levels, target.cloud.levels, None, 0, config, decimation=_DECIMATION
@@ -108,11 +136,18 @@ def _surface_rows(
     inside = jnp.asarray([[0], [0], [1]], points.dtype)
     between = jnp.where(pairs.valid[None], (points + pairs.points) / 2, inside)
     camera, seen = source.cloud.levels[0].camera, se3.transform(T, between.T)
-    from_target = jnp.matmul(se3.rotation_matrix(T).T, seen.T, precision=Precision.HIGHEST)
-    by_source = grid_shares(camera.project(between.T), camera) * (dot(between, normals) * between[2])[None]
-    by_target = grid_shares(camera.project(seen), camera) * (dot(from_target, normals) * seen[:, 2])[None]
-    rows = [normals, jnp.cross(points, normals, axis=0), by_source - by_target, residual[None]]
-    return jnp.concatenate(rows), weight / (problem.redundancy * jnp.maximum(excess, 0.01))
+    in_target = jnp.matmul(se3.rotation_matrix(T), normals, precision=Precision.HIGHEST)
+    by_source, by_target = (
+        jnp.concatenate([grid_shares(camera.project(x.T), camera) * (dot(x, n) * x[2])[None], _motion(x, n)])
+        for x, n in ((between, normals), (seen.T, in_target))
+    )
+    rows = [_motion(points, normals), by_source - by_target, residual[None]]
+    return jnp.concatenate(rows), weight / problem.redundancy, excess
+
+
+def _motion(points: Float[Array, "3 N"], normals: Float[Array, "3 N"]) -> Float[Array, "6 N"]:
+    """Derivative of the distances along normals by the tangent of a motion of the points."""
+    return jnp.concatenate([normals, jnp.cross(points, normals, axis=0)])
 
 
 def _flat(level: gicp.OrganisedLevel, count: int) -> Float[Array, " N"]:
@@ -134,10 +169,16 @@ def _keypoint_rows(
     rows = keypoint_rows(params, source, target, T, matched)
     pixels, seen = source.keypoints.features.keypoints, target.keypoints.points[matched.index]
     turned = jnp.matmul(se3.rotation_matrix(T).T, seen.T, precision=Precision.HIGHEST)
-    moved = jnp.sum(rows.at.point_jacobian * (turned * seen[:, 2][None])[None], axis=1)
+    # The target's points move along their rays, and so does what is measured at the source's keypoints.
+    along = jnp.sum(rows.at.point_jacobian * turned[None], axis=1)
     target_pixels = target.keypoints.features.keypoints[matched.index]
-    by_offsets = moved[:, None] * grid_shares(target_pixels, camera)[None]
-    measured = jnp.where(source.keypoints.depth > 0, 1 / params.config.features.inverse_depth_sigma, 0)
-    by_offsets = by_offsets.at[2].add(measured[None] * grid_shares(pixels, camera))
-    all_rows = jnp.concatenate([rows.at.pose_jacobian, by_offsets, rows.at.residual[:, None]], axis=1)
+    slopes = depth_slopes(seen.T, target.keypoints.normals[matched.index].T)
+    changes = jnp.concatenate([grid_shares(target_pixels, camera) * seen[:, 2][None], slopes])
+    by_depth = along[:, None] * changes[None]
+    depth, known = source.keypoints.depth, source.keypoints.depth > 0
+    slopes = depth_slopes(source.keypoints.points.T, source.keypoints.normals.T)
+    changes = jnp.concatenate([grid_shares(pixels, camera), slopes / jnp.where(known, depth, 1)[None]])
+    measured = jnp.where(known, 1 / params.config.features.inverse_depth_sigma, 0)
+    by_depth = by_depth.at[2].add(measured[None] * changes)
+    all_rows = jnp.concatenate([rows.at.pose_jacobian, by_depth, rows.at.residual[:, None]], axis=1)
     return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), rows.weights

@@ -1,7 +1,7 @@
-"""Estimate of the distortion of depth, from the registrations between keyframes."""
+"""Estimate of the errors of depth, from the registrations between keyframes."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -11,12 +11,16 @@ from sfgs_jax.slam.config import GraphConfig, TrackingConfig
 from sfgs_jax.slam.frontend import offsets_in_use
 from sfgs_jax.slam.keyframes._depth_equations import depth_equations
 from sfgs_jax.slam.keyframes._edges import edge_of
-from sfgs_jax.slam.state._depth_information import DepthPrior, depth_prior
+from sfgs_jax.slam.keyframes._rectification_anew import rows_known
+from sfgs_jax.slam.state._depth_information import DepthPrior, depth_prior, with_extrinsic
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 from sfgs_jax.slam.state._slam_state import SlamState
 from sfgs_jax.slam.state._tracker import TrackerParams
+
+_KNOWN = 1e-6
+"""Deviation of an extrinsic that is not estimated, metres and radians."""
 
 
 def with_registration(
@@ -40,21 +44,32 @@ def with_registration(
         features: of both, target and source, with the correction of depth of `params`.
         found: the registration, with the correction of depth of `params`.
         config: settings.
-        told: whether the registration is believed.
+        told: whether the registration is believed, and the estimate of depth may hear it.
     """
     if params.depth_correction is None:
         return graph, edge_of(target, source, found, config)
     offsets = offsets_in_use(params)
     equations = depth_equations(params, features[1], features[0], found)
-    edge = replace(edge_of(target, source, found, config), offsets=offsets, sensitivity=equations.sensitivity)
-    if not told or int(found.source) not in (PoseSource.JOINT, PoseSource.SURFACE):
+    edge = replace(
+        edge_of(target, source, found, config),
+        offsets=offsets,
+        sensitivity=equations.sensitivity,
+        surface_sensitivity=equations.surface_sensitivity,
+    )
+    told &= int(found.source) in (PoseSource.JOINT, PoseSource.SURFACE)
+    # Rows that lie where they don't belong look like a camera that does not.
+    told &= not params.config.estimate_extrinsic or rows_known(graph, (target, source), config)
+    if not told:
         return graph, edge
-    depth = graph.depth.plus(equations.information, equations.vector, offsets, prior_of(params.config))
-    return replace(graph, depth=depth), edge
+    # Pairs of the same images say the same, as edges do.
+    share = 1 / graph.noise.redundancy
+    told_of = share * equations.information, share * equations.vector
+    depth = graph.depth.plus(*told_of, offsets, prior_of(params.config))
+    return replace(graph, depth=depth), replace(edge, told=True)
 
 
 def with_new_offsets(params: TrackerParams, graph: KeyframeGraph) -> KeyframeGraph:
-    """The graph with the distortion of depth as the registrations so far show it.
+    """The graph with the errors of depth as the registrations so far show them.
 
     Args:
         params: parameters of tracking.
@@ -66,7 +81,7 @@ def with_new_offsets(params: TrackerParams, graph: KeyframeGraph) -> KeyframeGra
 
 
 def estimated_depth(state: SlamState) -> tuple[DepthCorrection, Float[np.ndarray, "G G"]] | None:
-    """Correction of depth as the keyframes so far show it, and the covariance of its G offsets in 1/m².
+    """Correction of depth as the keyframes so far show it, and the covariance of its G parameters.
 
     None without `TrackingConfig.estimate_depth`.
 
@@ -80,12 +95,19 @@ def estimated_depth(state: SlamState) -> tuple[DepthCorrection, Float[np.ndarray
 
 
 def prior_of(config: TrackingConfig) -> DepthPrior:
-    """Prior of the distortion of depth, as known before the first frame.
+    """Prior of the errors of depth, as known before the first frame.
 
     Args:
         config: settings.
     """
-    return _prior(config.depth_sigma, config.depth_step_sigma, config.depth_tilt_sigma)
+    shift, turn = config.extrinsic_shift_sigma, config.extrinsic_turn_sigma
+    if not config.estimate_extrinsic:
+        shift = turn = _KNOWN
+    return _prior(config.depth_sigma, config.depth_step_sigma, config.depth_tilt_sigma, shift, turn)
 
 
-_prior = cache(partial(depth_prior, DEPTH_GRID))
+@cache
+def _prior(
+    sigma: float, step_sigma: float, tilt_sigma: float, shift_sigma: float, turn_sigma: float
+) -> DepthPrior:
+    return with_extrinsic(depth_prior(DEPTH_GRID, sigma, step_sigma, tilt_sigma), shift_sigma, turn_sigma)

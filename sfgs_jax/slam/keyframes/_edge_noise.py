@@ -17,7 +17,7 @@ from jaxtyping import Float
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._depth_estimate import prior_of
-from sfgs_jax.slam.keyframes._edges import motions_of
+from sfgs_jax.slam.keyframes._edges import motions_of, prior_noise
 from sfgs_jax.slam.state._keyframe_graph import Edge, EdgeNoise, KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
 
@@ -30,15 +30,6 @@ _TAIL = 5
 """Degrees of freedom of the Student distribution of the cycles' errors; some go through wrong edges."""
 _ROUNDS = 10
 """Reweightings, after which the covariance changes by less than a hundredth."""
-
-
-def prior_noise(config: GraphConfig) -> EdgeNoise:
-    """Noise of edges as known before the first cycle.
-
-    Args:
-        config: settings.
-    """
-    return EdgeNoise(np.diag(np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3) ** 2), 1.0)
 
 
 def edge_noise(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> EdgeNoise:

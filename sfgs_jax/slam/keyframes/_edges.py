@@ -24,6 +24,15 @@ _LEAST_SHARE = 1e-4
 deviation. Beyond it float32 leaves little of the gradient."""
 
 
+def prior_noise(config: GraphConfig) -> EdgeNoise:
+    """Noise of edges as known before the first cycle.
+
+    Args:
+        config: settings.
+    """
+    return EdgeNoise(np.diag(np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3) ** 2), 1.0)
+
+
 def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
     """A registration as an edge of the graph; depth is not corrected.
 
@@ -44,6 +53,7 @@ def edge_of(target: int, source: int, found: Registration, config: GraphConfig) 
         loop=False,
         offsets=np.zeros(0),
         sensitivity=np.zeros((6, 0)),
+        surface_sensitivity=np.zeros((6, 0)),
     )
 
 
@@ -84,7 +94,11 @@ def motions_of(
     motions = np.stack([edge.surface_motion if surface_only else edge.T_target_source for edge in edges])
     if not len(offsets):
         return motions
-    return _shifted(motions, np.stack([edge.sensitivity @ (offsets - edge.offsets) for edge in edges]))
+    shifts = [
+        (edge.surface_sensitivity if surface_only else edge.sensitivity) @ (offsets - edge.offsets)
+        for edge in edges
+    ]
+    return _shifted(motions, np.stack(shifts))
 
 
 def relative_poses(

@@ -36,7 +36,7 @@ _STILL = 2e-4
 def advance_graph(
     params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, *, grown: bool
 ) -> tuple[KeyframeGraph, bool]:
-    """Register a pair or so of keyframes; once the newest waits for none, optimise.
+    """Register a pair or so of keyframes. Once no new pair waits, and once none does, optimise.
 
     Args:
         params: parameters of tracking.
@@ -51,14 +51,17 @@ def advance_graph(
         return graph, False
     graph = with_frame_passed(graph)
     compile_ahead(graph, config)
-    closed, waited = False, bool(graph.pending)
+    closed, waited, waited_again = False, bool(graph.pending), bool(graph.again)
     # A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster.
-    for _ in range(max(config.registrations_per_frame, len(graph.pending) // config.backlog)):
-        if not graph.pending:
+    for _ in range(
+        max(config.registrations_per_frame, (len(graph.pending) + len(graph.again)) // config.backlog)
+    ):
+        if not (graph.pending or graph.again):
             break
         graph, closed_now = _register_next(params, graph, config)
         closed |= closed_now
-    if closed or (not graph.pending and (waited or grown)):
+    done = not graph.pending and (waited or grown or (waited_again and not graph.again))
+    if closed or done:
         graph = with_new_offsets(params, graph)
         graph = _optimised(params, replace(graph, noise=edge_noise(params, graph, config)), config)
     return graph, closed
@@ -111,8 +114,9 @@ def _register_next(
     params: TrackerParams, graph: KeyframeGraph, config: GraphConfig
 ) -> tuple[KeyframeGraph, bool]:
     """The graph after the next waiting pair was registered, and whether that closed a loop."""
-    (target, source), rest = graph.pending[0], graph.pending[1:]
-    graph = replace(graph, pending=rest)
+    name = "pending" if graph.pending else "again"
+    (target, source), *rest = getattr(graph, name)
+    graph = replace(graph, **{name: tuple(rest)})
     a, b = (features_in_use(params, graph.keyframes[number]) for number in (target, source))
     maps = maps_of(graph)
     if maps[target] != maps[source]:
@@ -122,8 +126,9 @@ def _register_next(
     with_keypoints = params.config.features.kind != "none"
     if supports_edge(found, correction, config, with_keypoints=with_keypoints):
         graph = share_landmarks(graph, target, source, found)
-        first, graph = _without_edge(graph, target, source)
-        graph, edge = with_registration(params, graph, target, source, (a, b), found, config, told=first)
+        told, graph = _without_edge(graph, target, source)
+        graph, edge = with_registration(params, graph, target, source, (a, b), found, config, told=not told)
+        edge = replace(edge, told=edge.told or told)
         return replace(graph, edges=(*graph.edges, edge)), False
     may_be_loop = config.loops and source - target > config.loop_gap
     if may_be_loop and supports_loop(found, off, likely_drift(graph, target, source, config), config):
@@ -133,12 +138,13 @@ def _register_next(
 
 
 def _without_edge(graph: KeyframeGraph, target: int, source: int) -> tuple[bool, KeyframeGraph]:
-    """Whether a pair is registered for the first time, and the graph without its edge from before."""
+    """Whether the estimate of depth has heard a pair before, and the graph without its edge from then."""
     kept = [(edge.target, edge.source) != (target, source) for edge in graph.edges]
     if all(kept):
-        return True, graph
+        return False, graph
+    told = any(edge.told for edge, keep in zip(graph.edges, kept, strict=True) if not keep)
     edges = tuple(edge for edge, keep in zip(graph.edges, kept, strict=True) if keep)
-    return False, replace(graph, edges=edges, num_absorbed=sum(kept[: graph.num_absorbed]))
+    return told, replace(graph, edges=edges, num_absorbed=sum(kept[: graph.num_absorbed]))
 
 
 def register_pair(

@@ -41,6 +41,7 @@ def joined_graphs(graph: KeyframeGraph, other: KeyframeGraph, shift: int) -> Key
         edges=absorbed + new,
         num_absorbed=len(absorbed),
         pending=(*graph.pending, *((a + first, b + first) for a, b in other.pending)),
+        again=(*graph.again, *((a + first, b + first) for a, b in other.again)),
         candidates=(),
         landmarks=Landmarks(
             np.concatenate([graph.landmarks.keyframes, moved]),

@@ -4,6 +4,7 @@ The first keyframes are taken before the times are known. If the camera turns, t
 all later registrations err.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -16,11 +17,13 @@ from sfgs_jax.gicp import RowMotion
 from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import rectified
-from sfgs_jax.slam.keyframes._edge_noise import prior_noise
+from sfgs_jax.slam.keyframes._edges import prior_noise
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
 
+_ROWS_KNOWN = 2.0
+"""Motion of the rows that may be unknown, in deviations of an edge, where a pair tells about depth."""
 _SOON = 3.0
 """Motion of the rows, in deviations of an edge, for which a keyframe is not left until the end of the run."""
 
@@ -51,7 +54,7 @@ def rectified_anew(
 ) -> KeyframeGraph:
     """The graph with its keyframes rectified by the times as they are known now.
 
-    They are registered anew too. Until then their edges hold.
+    They are registered anew too, after all new pairs. Until then their edges hold.
 
     Args:
         params: parameters of tracking.
@@ -78,8 +81,8 @@ def rectified_anew(
         for edge in graph.edges
         if not edge.loop and (edge.target in stale or edge.source in stale)
     ]
-    waiting = [pair for pair in graph.pending if pair not in again]
-    return replace(graph, keyframes=tuple(keyframes), pending=(*again, *waiting))
+    waiting = tuple(pair for pair in graph.again if pair not in again)
+    return replace(graph, keyframes=tuple(keyframes), again=(*waiting, *again))
 
 
 def _surprises(
@@ -87,8 +90,29 @@ def _surprises(
 ) -> Float[np.ndarray, " n"]:
     """Squared motions of the outermost rows by the change of the times, in deviations of an edge."""
     known = np.stack([keyframe.times for keyframe in graph.keyframes])
-    delay, colour, depth = np.abs(times - known).T.astype(np.float64)
-    moved = np.maximum(colour / 2, delay + depth / 2)[:, None] * np.stack([k.twist for k in graph.keyframes])
+    return _row_motions(graph.keyframes, np.abs(times - known), config)
+
+
+def rows_known(graph: KeyframeGraph, numbers: Sequence[int], config: GraphConfig) -> bool:
+    """True if the rows of some keyframes lie where they belong, as far as the times are known.
+
+    Args:
+        graph: that holds them.
+        numbers: of the keyframes.
+        config: settings.
+    """
+    keyframes = [graph.keyframes[number] for number in numbers]
+    off = np.abs(graph.keyframes[-1].times - np.stack([keyframe.times for keyframe in keyframes]))
+    unknown = off + np.sqrt(np.diag(graph.times_covariance))
+    return bool((_row_motions(keyframes, unknown, config) < _ROWS_KNOWN**2).all())
+
+
+def _row_motions(
+    keyframes: Sequence[Keyframe], off: Float[np.ndarray, "n 3"], config: GraphConfig
+) -> Float[np.ndarray, " n"]:
+    """Squared motions of the outermost rows in times that may add up, in deviations of an edge."""
+    delay, colour, depth = off.T.astype(np.float64)
+    moved = np.maximum(colour / 2, delay + depth / 2)[:, None] * np.stack([k.twist for k in keyframes])
     return np.einsum("ni,ij,nj->n", moved, np.linalg.inv(prior_noise(config).covariance), moved)
 
 

@@ -30,8 +30,12 @@ def write_sensors(state: SlamState, path: Path) -> None:
         found["times_sigma_s"] = dict(zip(TIME_NAMES, _sigmas(covariance).tolist(), strict=True))
     depth = estimated_depth(state)
     if depth is not None:
+        sigmas = _sigmas(depth[1])
         found["depth_offsets_per_m"] = np.asarray(depth[0].offsets, float).tolist()
-        found["depth_offsets_sigma_per_m"] = _sigmas(depth[1]).reshape(DEPTH_GRID).tolist()
+        found["depth_offsets_sigma_per_m"] = sigmas[:-6].reshape(DEPTH_GRID).tolist()
+        if depth[0].extrinsic is not None:
+            found["T_colour_depth_tangent"] = np.asarray(depth[0].extrinsic, float).tolist()
+            found["T_colour_depth_sigma"] = sigmas[-6:].tolist()
     if found:
         write_atomically(path, json.dumps(found, indent=2) + "\n")
 

@@ -36,7 +36,7 @@ from sfgs_jax.slam.state import (
 )
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 17
+FORMAT_VERSION = 18
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -68,6 +68,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         "keyframes": len(state.graph.keyframes),
         "edges": len(state.graph.edges),
         "pending": len(state.graph.pending),
+        "again": len(state.graph.again),
         "candidates": len(state.graph.candidates),
         "adjustments": 0 if state.graph.adjustment is None else 1,
         "views": len(state.mapping.views),
@@ -300,7 +301,7 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     motion, matrix = np.zeros(7, np.float32), np.zeros((6, 6), np.float32)
     offsets = state.graph.offsets
     sensitivity = np.zeros((6, len(offsets)))
-    edge = Edge(0, 0, motion, matrix, motion, matrix, False, False, offsets, sensitivity)
+    edge = Edge(0, 0, motion, matrix, motion, matrix, False, False, offsets, sensitivity, sensitivity)
     shapes = feature_shapes(state.params)
     keyframe = _bare_keyframe(
         Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, motion[:6], motion[:3], 0)
@@ -313,6 +314,7 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
         keyframes=(keyframe,) * counts["keyframes"],
         edges=(edge,) * counts["edges"],
         pending=((0, 0),) * counts["pending"],
+        again=((0, 0),) * counts["again"],
         candidates=(edge,) * counts["candidates"],
         adjustment=_blank_adjustment() if counts["adjustments"] else None,
     )

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
 from sfgs_jax.arrays import pytree
 
@@ -11,14 +12,14 @@ from sfgs_jax.arrays import pytree
 @pytree
 @dataclass(frozen=True, eq=False)
 class DepthInformation:
-    """Normal equations of the G offsets of a `DepthCorrection`, summed over registrations, on the host.
+    """Normal equations of the G parameters of a `DepthCorrection`, summed over registrations, on the host.
 
     The unknown is their difference from those that the estimate started from.
 
     Attributes:
-        start: (G,) offsets before the first registration, the mean of the prior, 1/m.
-        information: (G, G) of the sum, the prior not among it, m².
-        vector: (G,) right-hand side, m.
+        start: (G,) parameters before the first registration, the mean of the prior.
+        information: (G, G) of the sum, the prior not among it.
+        vector: (G,) right-hand side.
         chi_square: sum over the registrations of the squared surprise: how far the estimate before was from
             what the registration said, in standard deviations of their difference.
         expected: what that sum would be if registrations were as good as their information says.
@@ -45,10 +46,10 @@ class DepthInformation:
         """The sum with a registration's equations.
 
         Args:
-            information: (G, G) of one registration, m².
-            vector: (G,) its right-hand side, for the difference from the offsets that it was found with, m.
-            offsets: (G,) these, 1/m.
-            prior: of the offsets.
+            information: (G, G) of one registration.
+            vector: (G,) its right-hand side, for the difference from the parameters that it was found with.
+            offsets: (G,) these.
+            prior: of the parameters.
         """
         vector = vector + information @ (offsets - self.start)
         told = prior.root.T @ information @ prior.root
@@ -79,18 +80,18 @@ class DepthInformation:
         )
 
     def estimate(self, prior: "DepthPrior") -> Float[np.ndarray, " G"]:
-        """(G,) most likely offsets, 1/m.
+        """(G,) most likely parameters.
 
         Args:
-            prior: of the offsets.
+            prior: of the parameters.
         """
         return self.start + np.linalg.solve(self._posterior(prior), self.vector / self.excess)
 
     def covariance(self, prior: "DepthPrior") -> Float[np.ndarray, "G G"]:
-        """(G, G) covariance of the estimate, 1/m²; larger where registrations contradict each other.
+        """(G, G) covariance of the estimate; larger where registrations contradict each other.
 
         Args:
-            prior: of the offsets.
+            prior: of the parameters.
         """
         return np.linalg.inv(self._posterior(prior))
 
@@ -120,11 +121,11 @@ def _surprise(
 
 @dataclass(frozen=True, eq=False)
 class DepthPrior:
-    """Gaussian prior of the offsets; its mean is the start of the estimate.
+    """Gaussian prior of the parameters; its mean is the start of the estimate.
 
     Attributes:
-        information: (G, G), m².
-        root: (G, G) lower Cholesky factor of its covariance, 1/m.
+        information: (G, G).
+        root: (G, G) lower Cholesky factor of its covariance.
     """
 
     information: Float[np.ndarray, "G G"]
@@ -153,10 +154,23 @@ def depth_prior(shape: tuple[int, int], sigma: float, step_sigma: float, tilt_si
     return DepthPrior(np.linalg.inv(covariance), np.linalg.cholesky(covariance))
 
 
+def with_extrinsic(prior: DepthPrior, shift_sigma: float, turn_sigma: float) -> DepthPrior:
+    """The prior of all parameters: of the offsets, and of an extrinsic that has nothing to do with them.
+
+    Args:
+        prior: of the offsets.
+        shift_sigma: standard deviation of each coordinate of the translation, metres.
+        turn_sigma: standard deviation of the rotation about each axis, radians.
+    """
+    sigmas = np.repeat([shift_sigma, turn_sigma], 3)
+    parts = (prior.information, np.diag(sigmas**-2.0)), (prior.root, np.diag(sigmas))
+    return DepthPrior(*(np.asarray(block_diag(*blocks)) for blocks in parts))
+
+
 def no_depth_information(start: Float[np.ndarray, " G"]) -> DepthInformation:
     """Nothing, as before the first registration.
 
     Args:
-        start: (G,) offsets to start from, 1/m.
+        start: (G,) parameters to start from.
     """
     return DepthInformation(start, np.zeros((len(start), len(start))), np.zeros(len(start)), 0.0, 0.0)

@@ -14,12 +14,14 @@ class Keypoints(eqx.Module):
         features: positions and descriptors, K slots.
         depth: (K,) metres along z; 0 where it is missing or the keypoint lies on a depth edge.
         points: (K, 3) camera coordinates, metres; on the image plane at 1 m where there is no depth.
+        normals: (K, 3) of the surface there, unit vectors that face the camera; 0 where unknown.
         signature: (D,) descriptor of the whole image, of unit length; 0 without keypoints.
     """
 
     features: Features
     depth: Float[Array, " k"]
     points: Float[Array, "k 3"]
+    normals: Float[Array, "k 3"]
     signature: Float[Array, " d"]
 
     @property

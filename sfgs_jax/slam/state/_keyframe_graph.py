@@ -61,6 +61,8 @@ class Edge:
         loop: whether it was accepted by its consistency with other loops.
         offsets: (G,) of the depth correction that it was found with, 1/m.
         sensitivity: (6, G) derivative of the motion's tangent by them.
+        surface_sensitivity: (6, G) derivative of the surface's motion by them.
+        told: whether the estimate of depth's errors has heard it.
     """
 
     target: int
@@ -73,6 +75,8 @@ class Edge:
     loop: bool
     offsets: Float[np.ndarray, " G"]
     sensitivity: Float[np.ndarray, "6 G"]
+    surface_sensitivity: Float[np.ndarray, "6 G"]
+    told: bool = False
 
 
 @pytree
@@ -188,6 +192,7 @@ class KeyframeGraph:
         noise: of the edges.
         num_absorbed: how many of them the poses hold already.
         pending: pairs (target, source) still to be registered, the next one first.
+        again: pairs with an edge that are to be registered anew once none is pending: their rows have moved.
         candidates: registrations that may be loops, and wait for others that agree.
         landmarks: places of the landmarks.
         adjustment: one that has been started and whose results have not been taken, if there is one.
@@ -204,6 +209,7 @@ class KeyframeGraph:
     noise: EdgeNoise
     num_absorbed: int
     pending: tuple[tuple[int, int], ...]
+    again: tuple[tuple[int, int], ...]
     candidates: tuple[Edge, ...]
     landmarks: Landmarks
     adjustment: PendingAdjustment | None
@@ -249,6 +255,7 @@ def empty_graph(offsets: Float[np.ndarray, " G"], noise: EdgeNoise) -> KeyframeG
         noise=noise,
         num_absorbed=0,
         pending=(),
+        again=(),
         candidates=(),
         landmarks=Landmarks(np.zeros(0, int), np.zeros((0, 3))),
         adjustment=None,
