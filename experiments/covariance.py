@@ -1,12 +1,14 @@
 """Do the covariances cover the errors? Poses against exact truth, in their own standard deviations.
 
-    python -m experiments.covariance [--recordings room ring kinect fr1_rpy] [--frames 300] [--sensors]
+    python -m experiments.covariance [--recordings room ring kinect fr1_rpy] [--frames 300]
+        [--sensors] [--extrinsic]
 
 NEES is the normalised estimation error squared of a pose's tangent, e' C^-1 e, its mean over all frames. It
 is 6 if the covariances C are right. A frame is within 3 sigma if its square is as likely as 3 standard
 deviations of a number. All poses are relative to the first camera, the world frame of a run. *Then* is the
 pose as it was reported with its frame. *At the end* is after the last adjustment. With `--sensors` the times
-of the rows and the distortion of depth are estimated. The truth of the real recordings has errors of its own.
+of the rows and the distortion of depth are estimated, with `--extrinsic` the place of its camera too. The
+truth of the real recordings has errors of its own.
 """
 
 import argparse
@@ -84,9 +86,16 @@ def main() -> None:
     parser.add_argument("--recordings", nargs="+", default=list(RECORDINGS), choices=list(RECORDINGS))
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--sensors", action="store_true", help="estimate the model of the sensors")
+    parser.add_argument("--extrinsic", action="store_true", help="and where depth's camera is")
     options = parser.parse_args()
-    tracking, on = SlamConfig().tracking, options.sensors
-    config = replace(SlamConfig(), tracking=replace(tracking, estimate_timing=on, estimate_depth=on))
+    on = options.sensors or options.extrinsic
+    tracking = replace(
+        SlamConfig().tracking,
+        estimate_timing=on,
+        estimate_depth=on,
+        estimate_extrinsic=options.extrinsic,
+    )
+    config = replace(SlamConfig(), tracking=tracking)
     rows = []
     for name in options.recordings:
         recording = open_recording(RECORDINGS[name].format(options.frames))

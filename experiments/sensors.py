@@ -2,9 +2,10 @@
 
     python -m experiments.sensors [--recordings redkitchen fr1_rpy kinect noise] [--frames 600]
 
-Each recording is tracked with and without the times of the rows (`estimate_timing`) and with and without the
-distortion of depth (`estimate_depth`), with the graph of keyframes and without a map. `kinect` is the
-synthetic room seen by `datasets.KINECT_V1`, with true times of 15, 30 and 25 ms; `noise` has no such faults.
+Each recording is tracked with and without the times of the rows (`estimate_timing`), the distortion of depth
+(`estimate_depth`) and its camera's place (`estimate_extrinsic`), with the graph of keyframes and without a
+map. `kinect` is the synthetic room seen by `datasets.KINECT_V1`, with true times of 15, 30 and 25 ms and a
+depth camera that is 10 mm and 0.3 degrees beside; `noise` has no such faults.
 
 *Cycle* is the median error of the motions around three keyframes, each registered to the others. *Epipolar*
 is how far matches of another extractor lie from their epipolar lines (`experiments.epipolar`). Both need no
@@ -46,21 +47,29 @@ COLUMNS = (
     "depth readout ms",
     "depth mm at 2 m",
     "error of that",
+    "extrinsic mm",
+    "error of that",
+    "extrinsic deg",
+    "error of that",
 )
 AT = 2.0
 """Depth at which the distortion is given, metres."""
 
 
-def tracked(recording: Recording, num_frames: int, *, timing: bool, depth: bool) -> SlamState:
+VARIANTS = ((), ("depth",), ("timing",), ("timing", "depth"), ("timing", "depth", "extrinsic"))
+"""What is modelled: times of the rows, distortion of depth, and where its camera is beside the other."""
+
+
+def tracked(recording: Recording, num_frames: int, modelled: tuple[str, ...]) -> SlamState:
     """The state after the first frames.
 
     Args:
         recording: where they are from.
         num_frames: how many, at most.
-        timing: whether the times of the rows are estimated.
-        depth: whether the distortion of depth is estimated.
+        modelled: one of the variants.
     """
-    tracking = replace(SlamConfig().tracking, estimate_timing=timing, estimate_depth=depth)
+    settings = {f"estimate_{name}": True for name in modelled}
+    tracking = replace(SlamConfig().tracking, **settings)
     state = init(recording.camera, replace(SlamConfig(), tracking=tracking))
     for number in range(min(num_frames, len(recording))):
         state = follow(state, recording[number], number=number).state
@@ -96,7 +105,7 @@ def row(recording: Recording, state: SlamState, pairs: list[Pair]) -> tuple[str,
     assert truth is not None
     ten, cycle = rpe(found, truth, delta=10), cycles(state)
     by_number = dict(zip(state.log.numbers.tolist(), found.poses, strict=True))
-    on = [name for name in ("timing", "depth") if getattr(tracking, f"estimate_{name}")]
+    on = [name for name in VARIANTS[-1] if getattr(tracking, f"estimate_{name}")]
     return (
         " and ".join(on) or "nothing",
         f"{100 * ate(found, truth).rmse_m:.2f}",
@@ -109,6 +118,7 @@ def row(recording: Recording, state: SlamState, pairs: list[Pair]) -> tuple[str,
         str(state.num_lost),
         *times(state),
         *distortion(recording, state),
+        *extrinsic(recording, state),
     )
 
 
@@ -128,11 +138,32 @@ def distortion(recording: Recording, state: SlamState) -> tuple[str, str]:
         return "-", "-"
     correction, covariance = estimate
     found = np.asarray(correction.image(recording.camera))
-    size, sigma = _millimetres(found), _millimetres(np.sqrt(np.diag(covariance)))
-    inner = recording.recording if isinstance(recording, Selection) else recording
-    if not isinstance(inner, SyntheticRecording):
+    size, sigma = _millimetres(found), _millimetres(np.sqrt(np.diag(covariance)[:-6]))
+    inner = _synthetic(recording)
+    if inner is None:
         return f"{size:.1f} ± {sigma:.1f}", "-"
     return f"{size:.1f} ± {sigma:.1f}", f"{_millimetres(found - inner.inverse_depth_offsets):.1f}"
+
+
+def extrinsic(recording: Recording, state: SlamState) -> tuple[str, ...]:
+    """Length and angle of the extrinsic with the root mean square deviation, each with its error if known."""
+    estimate = estimated_depth(state)
+    if estimate is None or estimate[0].extrinsic is None:
+        return ("-",) * 4
+    found, variances = np.asarray(estimate[0].extrinsic, float), np.diag(estimate[1])[-6:]
+    inner, cells = _synthetic(recording), []
+    truth = None if inner is None else se3.logs_of(inner.T_colour_depth[None])[0]
+    for part, unit, digits in ((slice(0, 3), 1e3, 1), (slice(3, 6), 180 / np.pi, 2)):
+        size, sigma = np.linalg.norm(found[part]), np.sqrt(variances[part].sum())
+        cells.append(f"{unit * size:.{digits}f} ± {unit * sigma:.{digits}f}")
+        error = None if truth is None else unit * np.linalg.norm(found[part] - truth[part])
+        cells.append("-" if error is None else f"{error:.{digits}f}")
+    return tuple(cells)
+
+
+def _synthetic(recording: Recording) -> SyntheticRecording | None:
+    inner = recording.recording if isinstance(recording, Selection) else recording
+    return inner if isinstance(inner, SyntheticRecording) else None
 
 
 def _millimetres(offsets: np.ndarray) -> float:
@@ -155,10 +186,10 @@ def main() -> None:
         own = dict(enumerate(truth.poses[: options.frames]))
         pairs = matched_pairs(recording, own)
         rows: list[tuple[str, ...]] = [
-            ("its own poses", *("-",) * 6, epipolar(recording, own, pairs), *("-",) * 6)
+            ("its own poses", *("-",) * 6, epipolar(recording, own, pairs), *("-",) * (len(COLUMNS) - 8))
         ]
-        for timing, depth in product((False, True), repeat=2):
-            state = tracked(recording, options.frames, timing=timing, depth=depth)
+        for modelled in VARIANTS:
+            state = tracked(recording, options.frames, modelled)
             rows.append(row(recording, state, pairs))
         print_table(name, COLUMNS, rows)
 
