@@ -56,7 +56,7 @@ lock:
 
 # Asks the network for known vulnerabilities, so it is no part of .ci/run.
 audit:
-	$(UV) tool run pip-audit --disable-pip --require-hashes --requirement requirements.lock
+	$(UV) tool run pip-audit --strict --disable-pip --require-hashes --requirement requirements.lock
 
 # The viewer's pages are tested in a browser. It comes from Debian's packages, so only root can install it.
 $(VENV)/.installed-browser: $(VENV)/.installed
