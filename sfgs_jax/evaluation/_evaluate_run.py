@@ -10,7 +10,7 @@ import numpy as np
 
 from sfgs_jax.arrays import InputError, write_atomically
 from sfgs_jax.datasets import Recording, associate
-from sfgs_jax.evaluation._run_folder import SAME_TIME_S, posed_frames, read_json
+from sfgs_jax.evaluation._run_folder import SAME_TIME_S, PosedFrames, posed_frames, read_json
 from sfgs_jax.evaluation.images import (
     FRAMES_FILE,
     LPIPS_PROTOCOL,
@@ -55,11 +55,10 @@ def evaluate_run(
 ) -> dict[str, Any]:
     """Compare a run with its recording and add the figures to its `metrics.json`.
 
-    A table of every scored frame, `frames.csv`, is written beside it.
-
     The trajectory is compared with the ground truth. The map is rendered at every estimated pose and compared
     with the recorded images by every protocol. Metrics that can't be given are listed under `unavailable`
-    with the reason. A second evaluation replaces the figures of the first.
+    with the reason. A table of every scored frame, `frames.csv`, is written beside it. A second evaluation
+    replaces the figures of the first.
 
     Args:
         run_dir: folder with `trajectory.txt`, `keyframes.txt`, `map.ply` and `metrics.json`.
@@ -98,17 +97,22 @@ def evaluate_run(
     figures |= _image_figures(images, unavailable)
     figures["evaluated"] = {
         "every": every,
-        "frames": {name: sum(name in frame.psnr for frame in images.frames) for name in PROTOCOLS},
-        "lpips_frames": sum(frame.lpips is not None for frame in images.frames),
+        **_scored_frames(images),
         "without_pose": len(recording) - len(posed.indices),
-        "unreadable": images.unreadable,
     }
     metrics = kept | figures | {"unavailable": unavailable}
-    errors = _by_index(absolute, recording) if absolute else {}
-    gains = dict(zip(posed.indices.tolist(), posed.gains, strict=True))
-    write_atomically(run_dir / FRAMES_FILE, format_frames(images.frames, errors, gains))
+    write_atomically(run_dir / FRAMES_FILE, _frames_table(images, recording, posed, absolute))
     write_atomically(path, json.dumps(metrics, indent=2) + "\n")
     return metrics
+
+
+def _scored_frames(images: ImageFigures) -> dict[str, Any]:
+    """How many frames there are figures of."""
+    return {
+        "frames": {name: sum(name in frame.psnr for frame in images.frames) for name in PROTOCOLS},
+        "lpips_frames": sum(frame.lpips is not None for frame in images.frames),
+        "unreadable": images.unreadable,
+    }
 
 
 def _affordable(recording: Recording, max_pixels: int) -> int:
@@ -116,6 +120,15 @@ def _affordable(recording: Recording, max_pixels: int) -> int:
     height, width = recording.camera.shape
     pixels = len(recording) * height * width
     return 1 if pixels <= max_pixels else SPLATAM_EVERY * math.ceil(pixels / (max_pixels * SPLATAM_EVERY))
+
+
+def _frames_table(
+    images: ImageFigures, recording: Recording, posed: PosedFrames, absolute: Ate | None
+) -> str:
+    """Text of `frames.csv`."""
+    errors = _by_index(absolute, recording) if absolute else {}
+    gains = dict(zip(posed.indices.tolist(), posed.gains, strict=True))
+    return format_frames(images.frames, errors, gains)
 
 
 def _by_index(absolute: Ate, recording: Recording) -> dict[int, float]:

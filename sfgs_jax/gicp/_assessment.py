@@ -137,11 +137,7 @@ def assess(problem: LevelProblem, minimum: Minimum) -> RegistrationResult:
     if problem.voxel_size is not None:
         inflation += _common_error(weighted_squares, total(weight_sums), problem.voxel_size)
     information = projector @ geometry @ projector / outer / inflation
-
-    # Many points may have the same nearest one: a target of a few points supports nothing.
-    supported = inliers * problem.decimation >= config.min_inliers
-    if isinstance(problem.target.search, SpatialHash):
-        supported = supported & (problem.target.search.starts[-1] >= config.min_inliers)
+    supported = _supported(problem, inliers)
     return RegistrationResult(
         T_target_source=minimum.T_target_source,
         information=information,
@@ -155,6 +151,16 @@ def assess(problem: LevelProblem, minimum: Minimum) -> RegistrationResult:
         directions=vectors * scale[:, None],
         free=free,
     )
+
+
+def _supported(problem: LevelProblem, inliers: Float[Array, ""]) -> Bool[Array, ""]:
+    """True if there are enough inliers."""
+    least = problem.config.min_inliers
+    supported = inliers * problem.decimation >= least
+    if isinstance(problem.target.search, SpatialHash):
+        # Many points may have the same nearest one: a target of a few points supports nothing.
+        supported &= problem.target.search.starts[-1] >= least
+    return supported
 
 
 def _common_error(

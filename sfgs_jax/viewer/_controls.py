@@ -70,18 +70,11 @@ class MapControls:
         ]
         gui.add_divider()
         without = stage.level is None
-        up = gui.add_button_group("Up is", ("Level", "As recorded"), disabled=without)
+        self._up = gui.add_button_group("Up is", ("Level", "As recorded"), disabled=without)
         if without:
             gui.add_markdown(_NO_LEVEL)
         self._floor = gui.add_checkbox("Floor", False, disabled=without, hint="A grid with a line a metre.")
         self._dark = gui.add_checkbox("Dark", True, hint="Black behind the map, here and in saved images.")
-
-        def crop_changed(_: viser.GuiEvent) -> None:
-            for control in self._ranges:
-                control.visible = self._crop.value
-            stage.show_box(self.crop)
-            on_look()
-
         ranges = dict(zip(_AXES, self._ranges, strict=True))
         self.inputs: dict[str, viser.GuiInputHandle] = {
             "Drawn by": self._drawer,
@@ -93,14 +86,7 @@ class MapControls:
             "Floor": self._floor,
             "Dark": self._dark,
         }
-        for control in (self._drawer, self._mode, self._size, self._opacity):
-            control.on_update(lambda _: on_look())
-        for control in (self._crop, *self._ranges):
-            control.on_update(crop_changed)
-        up.on_click(lambda _: stage.set_up(level=up.value == "Level"))
-        self._floor.on_update(lambda _: stage.show_floor(self._floor.value))
-        self._dark.on_update(lambda _: self._set_theme())
-        self._dark.on_update(lambda _: on_look())
+        self._listen(on_look)
         self._set_theme()
 
     @property
@@ -130,6 +116,24 @@ class MapControls:
         """Say how many Gaussians are drawn, and what the colours mean; nothing if that is plain."""
         self._note.content = self._stage.map.note(whole=self.drawn_by == "library")
         self._legend.content, self._legend.visible = legend, bool(legend)
+
+    def _listen(self, on_look: Callable[[], None]) -> None:
+        stage = self._stage
+
+        def crop_changed(_: viser.GuiEvent) -> None:
+            for control in self._ranges:
+                control.visible = self._crop.value
+            stage.show_box(self.crop)
+            on_look()
+
+        for control in (self._drawer, self._mode, self._size, self._opacity):
+            control.on_update(lambda _: on_look())
+        for control in (self._crop, *self._ranges):
+            control.on_update(crop_changed)
+        self._up.on_click(lambda _: stage.set_up(level=self._up.value == "Level"))
+        self._floor.on_update(lambda _: stage.show_floor(self._floor.value))
+        self._dark.on_update(lambda _: self._set_theme())
+        self._dark.on_update(lambda _: on_look())
 
     def _set_theme(self) -> None:
         # viser's share button would publish the page through a server of others.

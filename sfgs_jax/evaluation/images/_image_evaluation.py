@@ -65,15 +65,8 @@ def evaluate_images(
         max_lpips_frames: most frames for LPIPS, evenly spaced.
         progress: called as `progress(done)` with the number of frames of the recording gone through.
     """
-    number = np.arange(len(recording))
-    known, sampled = np.isin(number, posed.indices), (number + 1) % every == 0
-    members = {name: known & frames_of(name, len(recording), posed.keyframes) for name in PROTOCOLS}
-    for name in PROTOCOLS:
-        members[name] &= sampled | (name == "held_out")
-    if every > 1:
-        members["held_out"] = _evenly(members["held_out"], max(1, sum(sampled) // 2))
-    evaluated = np.any(list(members.values()), axis=0)
-    chosen = np.flatnonzero(evaluated).tolist()
+    members = _scored(len(recording), posed, every)
+    chosen = np.flatnonzero(np.any(list(members.values()), axis=0)).tolist()
     used = np.isin(np.arange(len(recording)), posed.keyframes)
     perceptual = _evenly(members[LPIPS_PROTOCOL], max_lpips_frames)
     places = {number: place for place, number in enumerate(posed.indices.tolist())}
@@ -111,6 +104,19 @@ def evaluate_images(
     if progress is not None and (not chosen or chosen[-1] + 1 < len(recording)):
         progress(len(recording))
     return figures
+
+
+def _scored(num_frames: int, posed: PosedFrames, every: int) -> dict[Protocol, Bool[np.ndarray, " n"]]:
+    """The frames that each protocol scores; `every` as in `evaluate_images`."""
+    number = np.arange(num_frames)
+    known, sampled = np.isin(number, posed.indices), (number + 1) % every == 0
+    members: dict[Protocol, Bool[np.ndarray, " n"]] = {}
+    for name in PROTOCOLS:
+        frames = known & frames_of(name, num_frames, posed.keyframes)
+        members[name] = frames & (sampled | (name == "held_out"))
+    if every > 1:
+        members["held_out"] = _evenly(members["held_out"], max(1, sum(sampled) // 2))
+    return members
 
 
 def _evenly(members: Bool[np.ndarray, " n"], at_most: int) -> Bool[np.ndarray, " n"]:

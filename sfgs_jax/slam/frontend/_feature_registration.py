@@ -83,17 +83,8 @@ def motion_from_keypoints(
     )
 
     num_matches = jnp.sum(valid, dtype=jnp.int32)
-    shares = _shares(rows, camera)
-    guessed = _support(guess, rows, shares, camera, config)
-
-    def rigid() -> jaxlie.SE3:
-        T = _rigid_motion(source, rows, matches.similarity, config)
-        better = _support(T, rows, shares, camera, config) > guessed
-        return jaxlie.SE3(jnp.where(better, T.wxyz_xyz, guess.wxyz_xyz))
-
-    # A guess that explains most of the matches has no rival, and is a good enough start.
-    T = lax.cond(2 * guessed > jnp.sum(shares), lambda: jaxlie.SE3(guess.wxyz_xyz), rigid)
-    T, hessian = _refine(T, rows, camera, config)
+    start = _guess_or_rigid_motion(guess, source, rows, matches.similarity, camera, config)
+    T, hessian = _refine(start, rows, camera, config)
     inliers = _explained(T, rows, camera, config, config.inlier_pixels)
     return FeatureRegistration(
         T,
@@ -118,6 +109,27 @@ def num_explained(
     points, pixels = target.points[matched.index], source.features.keypoints
     rows = _Rows(points, pixels, source.depth, matched.inliers, sweep)
     return jnp.sum(_explained(T_target_source, rows, camera, config, config.inlier_pixels), dtype=jnp.int32)
+
+
+def _guess_or_rigid_motion(
+    guess: jaxlie.SE3,
+    source: Keypoints,
+    rows: _Rows,
+    similarity: Float[Array, " k"],
+    camera: Camera,
+    config: FeaturesConfig,
+) -> jaxlie.SE3:
+    """The guess if it explains most of the matches, else it or a rigid motion, whichever explains more."""
+    shares = _shares(rows, camera)
+    guessed = _support(guess, rows, shares, camera, config)
+
+    def rigid() -> jaxlie.SE3:
+        T = _rigid_motion(source, rows, similarity, config)
+        better = _support(T, rows, shares, camera, config) > guessed
+        return jaxlie.SE3(jnp.where(better, T.wxyz_xyz, guess.wxyz_xyz))
+
+    # A guess that explains most of the matches has no rival, and is a good enough start.
+    return lax.cond(2 * guessed > jnp.sum(shares), lambda: jaxlie.SE3(guess.wxyz_xyz), rigid)
 
 
 def _expected(

@@ -87,9 +87,7 @@ def _register(
     guess_known: Bool[Array, ""] | bool,
 ) -> Registration:
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
-    if sweep is not None:
-        keypoints = with_depth_in_time(source, params.camera, sweep.at(guess))
-        source = FrameFeatures(source.cloud, keypoints)
+    source = source if sweep is None else _in_time(source, params, sweep.at(guess))
     pair = source.keypoints, target.keypoints
     matched = motion_from_keypoints(*pair, guess, params.camera, features, sweep, guess_known=guess_known)
     share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
@@ -139,6 +137,11 @@ def _register(
         scale_change=scale[0],
         scale_sigma=scale[1],
     )
+
+
+def _in_time(source: FrameFeatures, params: TrackerParams, moving: gicp.RowMotion) -> FrameFeatures:
+    """The frame with the depth of its keypoints at the time that their pixels were read."""
+    return FrameFeatures(source.cloud, with_depth_in_time(source, params.camera, moving))
 
 
 def _agree(

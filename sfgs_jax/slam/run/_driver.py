@@ -258,20 +258,11 @@ def run(
     with result.stopwatch("compilation"):
         warm_up(camera, config)
     _stored(result, result.state, storage, _without_other_images)
-    kept = config.mapping.views_in_memory
-
-    def spill_map(mapping: MapState) -> MapState:
-        return _stored(result, mapping, storage, lambda m, folder: spill_views(m, folder, kept))
-
-    kind = ThreadedMapWorker if realtime else InlineMapWorker
-    worker = kind(result.state, result.stopwatch, spill_map)
+    worker = _map_worker(result, config, storage, realtime=realtime)
     try:
         for number, frame in worker.frames(frames):
             found = _advance(result, number, frame, worker, storage)
-            info, skipped = (None, found) if isinstance(found, FrameError) else (found, None)
-            image = None if isinstance(frame, FrameError) else frame
-            gaussians = result.state.mapping.num_gaussians
-            observer(Progress("frames", result.num_frames, gaussians, skipped, info, result, image))
+            observer(_progress(result, frame, found))
             _check_skipped(result)
             if result.num_frames % _TRIM_EVERY == 0:
                 Thread(target=return_free_memory, name="sfgs_jax heap", daemon=True).start()
@@ -288,6 +279,25 @@ def run(
         worker.stop()
         raise
     return result
+
+
+def _map_worker(result: Run, config: SlamConfig, storage: Path | None, *, realtime: bool) -> MapWorker:
+    """What maps beside the tracking, and spills the images of views to the storage."""
+    kept = config.mapping.views_in_memory
+
+    def spill_map(mapping: MapState) -> MapState:
+        return _stored(result, mapping, storage, lambda m, folder: spill_views(m, folder, kept))
+
+    kind = ThreadedMapWorker if realtime else InlineMapWorker
+    return kind(result.state, result.stopwatch, spill_map)
+
+
+def _progress(result: Run, frame: Frame | FrameError, found: StepInfo | FrameError) -> Progress:
+    """What the observer is told after a frame."""
+    info, skipped = (None, found) if isinstance(found, FrameError) else (found, None)
+    image = None if isinstance(frame, FrameError) else frame
+    gaussians = result.state.mapping.num_gaussians
+    return Progress("frames", result.num_frames, gaussians, skipped, info, result, image)
 
 
 def _check_resumed(run: Run, camera: Camera, config: SlamConfig) -> None:
