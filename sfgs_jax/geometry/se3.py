@@ -48,6 +48,7 @@ __all__ = [
     "matrices_of",
     "matrix",
     "parameters_of",
+    "plane_jacobian",
     "quaternion_product",
     "quaternions",
     "rotate",
@@ -263,6 +264,16 @@ def transform(T_a_b: Pose, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]
     T_a_b = as_se3(T_a_b)
     turned = jnp.einsum("ij,...j->...i", rotation_matrix(T_a_b), points, precision=_EXACT)
     return turned + T_a_b.wxyz_xyz[4:].reshape((1,) * (points.ndim - 1) + (3,))
+
+
+def plane_jacobian(points: Float[Array, "3 N"], normals: Float[Array, "3 N"]) -> Float[Array, "6 N"]:
+    """(6, N) derivative of n . exp(delta) p by delta: of distances along normals by a motion of the points.
+
+    Args:
+        points: (3, N) p, metres.
+        normals: (3, N) n.
+    """
+    return jnp.concatenate([normals, jnp.cross(points, normals, axis=0)])
 
 
 def extent(T: Pose) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:

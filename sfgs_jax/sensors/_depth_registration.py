@@ -55,8 +55,7 @@ def depth_slopes(points: Float[Array, "3 K"], normals: Float[Array, "3 K"]) -> F
     length = jnp.sqrt(dot(points, points))
     faces = dot(normals, points) < -_STEEPEST * length
     normals = jnp.where(faces[None], normals, -points)
-    moved = jnp.concatenate([normals, jnp.cross(points, normals, axis=0)])
-    return moved / dot(normals, points)[None]
+    return se3.plane_jacobian(points, normals) / dot(normals, points)[None]
 
 
 # Coordinates are rows here: XLA on CPU reads and writes them several times as fast as columns.

@@ -232,3 +232,13 @@ def test_motions_in_number_are_no_single_pose():
         se3.as_se3(se3.exp(jnp.zeros((2, 6))))
     with pytest.raises(InputError, match="an array of motions with 1 axis"):
         se3.as_se3(np.eye(4), axes=1)
+
+
+def test_the_derivative_of_distances_along_normals_is_that_of_the_motion(rng, float64):
+    points, normals = (jnp.asarray(rng.normal(size=(3, 5))) for _ in range(2))
+
+    def distances(tangent):
+        return jnp.sum(normals.T * se3.transform(se3.exp(tangent), points.T), axis=1)
+
+    expected = jax.jacfwd(distances)(jnp.zeros(6)).T
+    np.testing.assert_allclose(se3.plane_jacobian(points, normals), expected, atol=1e-12)

@@ -32,7 +32,9 @@ class SurfaceRows(eqx.Module):
         normals: (3, N) between the two surfaces' normals, unit vectors.
         residual: (N,) metres.
         pose: (6, N) derivative by the tangent of T_target_source.
-        weight: (N,) of independent measurements, 1/m²; 0 where there is no target.
+        variance: (N,) of the residual as it is expected, m².
+        expected_weight: (N,) of independent measurements with that variance, 1/m²; 0 where there is no
+            target.
     """
 
     points: Float[Array, "3 N"]
@@ -40,7 +42,18 @@ class SurfaceRows(eqx.Module):
     normals: Float[Array, "3 N"]
     residual: Float[Array, " N"]
     pose: Float[Array, "6 N"]
-    weight: Float[Array, " N"]
+    variance: Float[Array, " N"]
+    expected_weight: Float[Array, " N"]
+
+    @property
+    def weight(self) -> Float[Array, " N"]:
+        """(N,) of independent measurements, 1/m², the less the more the residuals exceed what is expected."""
+        return self.expected_weight / jnp.maximum(self.excess(self.expected_weight), 1)
+
+    def excess(self, weight: Float[Array, " N"]) -> Float[Array, ""]:
+        """Variance of the weighted residuals over what is expected."""
+        expected = jnp.sum(weight * self.variance)
+        return jnp.sum(weight * self.residual**2) / jnp.maximum(expected, 1e-12)
 
 
 class KeypointRows(eqx.Module):
@@ -103,11 +116,15 @@ def surface_rows(
     mean = problem.source.normals + pairs.normals
     normals = mean * lax.rsqrt(jnp.where(pairs.valid, dot(mean, mean), 1))[None]
     residual = jnp.where(pairs.valid, dot(points - pairs.points, normals), 0)
-    weight = problem.robust_weights(pairs)
-    excess = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight * pairs.variance), 1e-12)
-    pose = jnp.concatenate([normals, jnp.cross(points, normals, axis=0)])
-    weight = weight / (problem.redundancy * jnp.maximum(excess, 1))
-    return SurfaceRows(points, pairs.points, normals, residual, pose, weight)
+    return SurfaceRows(
+        points=points,
+        targets=pairs.points,
+        normals=normals,
+        residual=residual,
+        pose=se3.plane_jacobian(points, normals),
+        variance=pairs.variance,
+        expected_weight=problem.robust_weights(pairs) / problem.redundancy,
+    )
 
 
 def keypoint_rows(

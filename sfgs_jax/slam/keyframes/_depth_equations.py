@@ -14,7 +14,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
@@ -22,13 +21,10 @@ from sfgs_jax import gicp
 from sfgs_jax.arrays import dot
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import depth_slopes, grid_shares
-from sfgs_jax.slam.frontend._registration_rows import keypoint_rows
+from sfgs_jax.slam.frontend._registration_rows import keypoint_rows, surface_rows
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import BY_KEYPOINTS, PoseSource, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
-
-_DECIMATION = 2
-"""Every second row and column of the points aligned: neighbours share most of their pixels."""
 
 _MIN_FLATNESS = 0.9
 """Least cosine between a point's normal and those two pixels around it. The mean of a window over a crease
@@ -120,34 +116,24 @@ def _surface_rows(
 
     Then come their weights, and their variance over what is expected.
     """
-    T, config = found.T_target_source, params.config.gicp
-    problem = gicp.level_problem(
-        source.cloud.levels, target.cloud.levels, None, 0, config, decimation=_DECIMATION
-    )
-    pairs, points = problem.correspondences(T), problem.source.points
-    mean = problem.source.normals + pairs.normals
-    normals = mean * lax.rsqrt(jnp.where(pairs.valid, dot(mean, mean), 1))[None]
-    residual = jnp.where(pairs.valid, dot(points - pairs.points, normals), 0)
-    weight = problem.robust_weights(pairs) * _flat(source.cloud.levels[0], len(residual))
-    excess = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight * pairs.variance), 1e-12)
+    T = found.T_target_source
+    rows = surface_rows(source, target, T, params.config.gicp)
+    weight = rows.expected_weight * _flat(source.cloud.levels[0], len(rows.residual))
 
     # Taken between the two surfaces. At the measured points the derivative would have their noise in it. Then
     # offsets that shrink the scene, and all noise with it, would seem to fit better.
-    inside = jnp.asarray([[0], [0], [1]], points.dtype)
-    between = jnp.where(pairs.valid[None], (points + pairs.points) / 2, inside)
+    inside = jnp.asarray([[0], [0], [1]], rows.points.dtype)
+    between = jnp.where(weight[None] > 0, (rows.points + rows.targets) / 2, inside)
     camera, seen = source.cloud.levels[0].camera, se3.transform(T, between.T)
-    in_target = jnp.matmul(se3.rotation_matrix(T), normals, precision=Precision.HIGHEST)
+    in_target = jnp.matmul(se3.rotation_matrix(T), rows.normals, precision=Precision.HIGHEST)
     by_source, by_target = (
-        jnp.concatenate([grid_shares(camera.project(x.T), camera) * (dot(x, n) * x[2])[None], _motion(x, n)])
-        for x, n in ((between, normals), (seen.T, in_target))
+        jnp.concatenate(
+            [grid_shares(camera.project(x.T), camera) * (dot(x, n) * x[2])[None], se3.plane_jacobian(x, n)]
+        )
+        for x, n in ((between, rows.normals), (seen.T, in_target))
     )
-    rows = [_motion(points, normals), by_source - by_target, residual[None]]
-    return jnp.concatenate(rows), weight / problem.redundancy, excess
-
-
-def _motion(points: Float[Array, "3 N"], normals: Float[Array, "3 N"]) -> Float[Array, "6 N"]:
-    """Derivative of the distances along normals by the tangent of a motion of the points."""
-    return jnp.concatenate([normals, jnp.cross(points, normals, axis=0)])
+    columns = [rows.pose, by_source - by_target, rows.residual[None]]
+    return jnp.concatenate(columns), weight, rows.excess(weight)
 
 
 def _flat(level: gicp.OrganisedLevel, count: int) -> Float[Array, " N"]:
