@@ -89,3 +89,8 @@ def test_a_number_without_a_meaning_is_refused(setting):
 def test_the_lists_name_settings():
     assert not (NEGATIVE | NOT_ZERO).difference(EVERY)
     assert len(EVERY) > 120
+
+
+def test_an_extrinsic_without_the_estimate_that_it_belongs_to_is_refused():
+    with pytest.raises(InputError, match="`estimate_extrinsic` needs `estimate_depth`"):
+        slam.TrackingConfig(estimate_extrinsic=True)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from sfgs_jax.slam.frontend import with_depth_offsets
+from sfgs_jax.slam.frontend import with_depth_parameters
 from sfgs_jax.slam.keyframes import advance_graph, rectified_anew, settled
 from sfgs_jax.slam.mapping import follow_keyframes
 from sfgs_jax.slam.state import KeyframeGraph, SlamState, with_graph_poses
@@ -18,8 +18,8 @@ def with_graph(state: SlamState, graph: KeyframeGraph) -> SlamState:
     params, tracker = state.params, state.tracker
     if graph.poses is not state.graph.poses:
         tracker = with_graph_poses(tracker, graph)
-    if graph.offsets is not state.graph.offsets:
-        params, tracker = with_depth_offsets(params, tracker, graph.offsets)
+    if graph.depth_parameters is not state.graph.depth_parameters:
+        params, tracker = with_depth_parameters(params, tracker, graph.depth_parameters)
     return replace(state, graph=graph, tracker=tracker, params=params)
 
 

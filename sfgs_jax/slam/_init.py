@@ -8,7 +8,7 @@ import numpy as np
 from sfgs_jax.geometry import Camera, require_camera
 from sfgs_jax.sensors import SensorModel, block_means
 from sfgs_jax.slam.config import SlamConfig
-from sfgs_jax.slam.frontend import estimated_timing, init_tracker, offsets_in_use, tracker_params
+from sfgs_jax.slam.frontend import depth_parameters_in_use, estimated_timing, init_tracker, tracker_params
 from sfgs_jax.slam.keyframes import prior_noise
 from sfgs_jax.slam.state import (
     SlamState,
@@ -36,7 +36,7 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
     config = config or SlamConfig()
     params = tracker_params(camera, config.tracking, sensors)
     tracker = init_tracker(params)
-    graph = empty_graph(offsets_in_use(params), prior_noise(config.graph))
+    graph = empty_graph(depth_parameters_in_use(params), prior_noise(config.graph))
     if config.tracking.estimate_timing:
         _, covariance = estimated_timing(params, tracker)
         graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))

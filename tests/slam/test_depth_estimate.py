@@ -54,7 +54,9 @@ def runs(recording, frames, settings, all_compilations):
     """States after a run with the distortion estimated, warmed up before, and after one without."""
 
     def run(estimate_depth):
-        tracking = replace(settings.tracking, estimate_depth=estimate_depth, estimate_extrinsic=True)
+        tracking = replace(
+            settings.tracking, estimate_depth=estimate_depth, estimate_extrinsic=estimate_depth
+        )
         config = replace(settings, tracking=tracking)
         state = slam.init(recording.camera, config)
         # `test_step` warms up without the estimate; here programs that only a lost frame needs would be idle.
@@ -105,10 +107,10 @@ def test_the_distortion_does_no_harm_to_the_poses(recording, runs):
 
 def test_references_and_edges_follow_the_estimate(runs):
     state = runs[True]
-    np.testing.assert_allclose(state.params.depth_correction.vector, state.graph.offsets, atol=1e-7)
-    assert all(edge.sensitivity.shape == (6, state.graph.offsets.size) for edge in state.graph.edges)
+    np.testing.assert_allclose(state.params.depth_correction.vector, state.graph.depth_parameters, atol=1e-7)
+    assert all(edge.sensitivity.shape == (6, state.graph.depth_parameters.size) for edge in state.graph.edges)
     assert slam.estimated_depth(runs[False]) is None
-    assert runs[False].graph.offsets.size == 0
+    assert runs[False].graph.depth_parameters.size == 0
 
 
 def test_recorrected_features_are_those_of_corrected_depth(recording, pair, settings):

@@ -98,13 +98,18 @@ def test_what_is_open_about_the_sensors_widens_all_edges(room, config, graph):
         frame=0,
         reference=0,
         T_reference_keyframe=graph.edges[0].T_target_source,
-        offsets=state.graph.offsets,
+        depth_parameters=state.graph.depth_parameters,
         twist=np.zeros(6, np.float32),
         times=np.zeros(3, np.float32),
         edition=0,
     )
-    free = np.zeros((6, len(state.graph.offsets)))
-    edge = replace(graph.edges[0], offsets=state.graph.offsets, sensitivity=free, surface_sensitivity=free)
+    free = np.zeros((6, len(state.graph.depth_parameters)))
+    edge = replace(
+        graph.edges[0],
+        depth_parameters=state.graph.depth_parameters,
+        sensitivity=free,
+        surface_sensitivity=free,
+    )
     alone = replace(
         state.graph,
         keyframes=(resting, replace(resting, twist=turning)),
@@ -117,10 +122,10 @@ def test_what_is_open_about_the_sensors_widens_all_edges(room, config, graph):
     more = edge_noise(state.params, late, config.graph).covariance - known
     np.testing.assert_allclose(np.diag(more), [0, 0, 0, 0, (0.5 * 0.004) ** 2, 0], atol=1e-12)
     # The mean of the offsets moves the camera by a metre for each 1/m; by the prior they err on their own.
-    moving, count = free.copy(), len(state.graph.offsets) - 6
+    moving, count = free.copy(), len(state.graph.depth_parameters) - 6
     moving[2, :count] = 1 / count
     bent = replace(alone, edges=(replace(edge, sensitivity=moving),))
-    told = 1e6 * np.eye(len(state.graph.offsets))
+    told = 1e6 * np.eye(len(state.graph.depth_parameters))
     wide, narrow = (
         edge_noise(state.params, g, config.graph).covariance[2, 2] - known[2, 2]
         for g in (bent, replace(bent, depth=replace(bent.depth, information=told)))

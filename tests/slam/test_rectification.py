@@ -130,7 +130,7 @@ def early(recordings, seen):
         frame=NUMBER,
         reference=0,
         T_reference_keyframe=one,
-        offsets=none,
+        depth_parameters=none,
         twist=np.zeros(6, np.float32),
         times=np.zeros(3, np.float32),
         edition=0,

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from sfgs_jax.arrays import check_choice, check_counts, check_positive, check_range
+from sfgs_jax.arrays import InputError, check_choice, check_counts, check_positive, check_range
 from sfgs_jax.gicp import GicpConfig
 from sfgs_jax.superfeats import MIN_SIMILARITY
 
@@ -174,6 +174,8 @@ class TrackingConfig:
         check_positive(self, "max_position_sigma")
         check_positive(self, "depth_sigma", "depth_step_sigma", "depth_tilt_sigma")
         check_positive(self, "extrinsic_shift_sigma", "extrinsic_turn_sigma")
+        if self.estimate_extrinsic and not self.estimate_depth:
+            raise InputError("`estimate_extrinsic` needs `estimate_depth`, of which it is a part.")
         check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
         check_range(self, 0, 1, "keyframe_inlier_fraction")
         check_range(self, 0, math.inf, "max_correction_alone", "search_angle", "max_disagreement")

@@ -27,10 +27,10 @@ from sfgs_jax.slam.frontend._pose_source import judge as judge
 from sfgs_jax.slam.frontend._pose_source import supports_edge as supports_edge
 from sfgs_jax.slam.frontend._pose_source import supports_loop as supports_loop
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation as supports_relocalisation
+from sfgs_jax.slam.frontend._recorrection import depth_parameters_in_use as depth_parameters_in_use
 from sfgs_jax.slam.frontend._recorrection import features_in_use as features_in_use
-from sfgs_jax.slam.frontend._recorrection import offsets_in_use as offsets_in_use
 from sfgs_jax.slam.frontend._recorrection import recorrected as recorrected
-from sfgs_jax.slam.frontend._recorrection import with_depth_offsets as with_depth_offsets
+from sfgs_jax.slam.frontend._recorrection import with_depth_parameters as with_depth_parameters
 from sfgs_jax.slam.frontend._rectification import rectified as rectified
 from sfgs_jax.slam.frontend._suspicion import NO_SUSPICION as NO_SUSPICION
 from sfgs_jax.slam.frontend._suspicion import strengthened as strengthened

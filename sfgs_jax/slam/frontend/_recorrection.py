@@ -17,7 +17,7 @@ from sfgs_jax.slam.state._keyframe_graph import Keyframe
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
 
 
-def offsets_in_use(params: TrackerParams) -> Float[np.ndarray, " G"]:
+def depth_parameters_in_use(params: TrackerParams) -> Float[np.ndarray, " G"]:
     """Parameters of the depth correction of new frames; none if depth is not corrected.
 
     Args:
@@ -34,7 +34,7 @@ def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:
         params: parameters of tracking.
         keyframe: with the correction of its time.
     """
-    change = offsets_in_use(params) - keyframe.offsets
+    change = depth_parameters_in_use(params) - keyframe.depth_parameters
     return (
         recorrected(keyframe.features, params.camera, _grid(params, change))
         if change.any()
@@ -42,20 +42,20 @@ def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:
     )
 
 
-def with_depth_offsets(
-    params: TrackerParams, tracker: Tracker, offsets: Float[np.ndarray, " G"]
+def with_depth_parameters(
+    params: TrackerParams, tracker: Tracker, parameters: Float[np.ndarray, " G"]
 ) -> tuple[TrackerParams, Tracker]:
     """Parameters and tracker with another correction of depth, for the frames to come and those held.
 
     Args:
         params: parameters of tracking.
         tracker: whose features have their correction.
-        offsets: parameters of the new correction.
+        parameters: parameters of the new correction.
     """
-    change = _grid(params, offsets - offsets_in_use(params))
+    change = _grid(params, parameters - depth_parameters_in_use(params))
     references, last = _recorrected_tracker(tracker, params.camera, change)
     return (
-        replace(params, depth_correction=_grid(params, offsets)),
+        replace(params, depth_correction=_grid(params, parameters)),
         replace(tracker, references=references, last=last),
     )
 
@@ -68,10 +68,10 @@ def _recorrected_tracker(
     return references, recorrected(tracker.last, camera, change)
 
 
-def _grid(params: TrackerParams, offsets: Float[np.ndarray, " G"]) -> DepthCorrection:
+def _grid(params: TrackerParams, parameters: Float[np.ndarray, " G"]) -> DepthCorrection:
     assert params.depth_correction is not None
     like = params.depth_correction
-    return like.with_vector(jnp.asarray(offsets, like.offsets.dtype))
+    return like.with_vector(jnp.asarray(parameters, like.offsets.dtype))
 
 
 @jax.jit

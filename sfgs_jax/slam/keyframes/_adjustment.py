@@ -47,7 +47,7 @@ class Window(eqx.Module):
         members: (W,) number of the keyframe of each pose; -1 where unused.
         anchor: place among them of the keyframe that covariances are relative to, the best known.
         landmarks: (L,) number of each landmark; -1 where unused.
-        offsets: (W, G) by how much the parameters of the depth correction have changed since the depth of
+        depth_parameters: (W, G) by how much those of the depth correction have changed since the depth of
             each keyframe's keypoints was measured.
         normals: (O, 3) of the surface at each observation.
     """
@@ -57,7 +57,7 @@ class Window(eqx.Module):
     members: Int[Array | np.ndarray, " W"]
     anchor: Int[Array | np.ndarray, ""]
     landmarks: Int[Array | np.ndarray, " L"]
-    offsets: Float[Array | np.ndarray, "W G"]
+    depth_parameters: Float[Array | np.ndarray, "W G"]
     normals: Float[Array | np.ndarray, "O 3"]
 
 
@@ -85,9 +85,9 @@ def adjust(params: TrackerParams, window: Window) -> Adjusted:
     """
     seen = _reprojections(window.graph)
     depth = seen.depth
-    if window.offsets.shape[1]:
+    if window.depth_parameters.shape[1]:
         pixels, camera = jnp.asarray(seen.pixels), params.camera
-        changes = jnp.asarray(window.offsets)[jnp.asarray(seen.poses)[:, 0]].T
+        changes = jnp.asarray(window.depth_parameters)[jnp.asarray(seen.poses)[:, 0]].T
         depth = corrected_depth(depth, jnp.sum(grid_shares(pixels, camera) * changes[:-6], axis=0))
         slopes = depth_slopes(
             camera.unproject(pixels, jnp.where(depth > 0, depth, 1)).T, jnp.asarray(window.normals).T
@@ -139,15 +139,17 @@ def window_of(
         linear_solver="dense",
         capacities=_capacities(config),
     )
-    offsets = np.zeros((size, len(graph.offsets)), np.float32)
-    offsets[:count] = [graph.offsets - graph.keyframes[number].offsets for number in members]
+    changes = np.zeros((size, len(graph.depth_parameters)), np.float32)
+    changes[:count] = [
+        graph.depth_parameters - graph.keyframes[number].depth_parameters for number in members
+    ]
     return Window(
         problem,
         Values(jaxlie.SE3(jnp.asarray(poses)), jnp.asarray(points)),
         np.pad(members, (0, size - count), constant_values=-1),
         np.asarray(best_known(graph.covariances[members])),
         np.pad(landmarks, (0, config.max_landmarks - len(landmarks)), constant_values=-1),
-        offsets,
+        changes,
         normals,
     )
 
@@ -203,7 +205,7 @@ def _registrations(graph: KeyframeGraph, config: GraphConfig, place: Int[np.ndar
             surfaces[-room:],
             room,
             noise=graph.noise,
-            offsets=graph.offsets,
+            depth_parameters=graph.depth_parameters,
             surface_only=True,
             kernel="huber",
             kernel_width=config.kernel_width,
@@ -212,7 +214,7 @@ def _registrations(graph: KeyframeGraph, config: GraphConfig, place: Int[np.ndar
             loops[-config.window :],
             config.window,
             noise=graph.noise,
-            offsets=graph.offsets,
+            depth_parameters=graph.depth_parameters,
             kernel="dynamic_covariance_scaling",
             kernel_width=config.kernel_width,
         ),

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
-from sfgs_jax.slam.frontend import offsets_in_use
+from sfgs_jax.slam.frontend import depth_parameters_in_use
 from sfgs_jax.slam.keyframes._depth_equations import depth_equations
 from sfgs_jax.slam.keyframes._edges import edge_of
 from sfgs_jax.slam.keyframes._rectification_anew import rows_known
@@ -48,11 +48,11 @@ def with_registration(
     """
     if params.depth_correction is None:
         return graph, edge_of(target, source, found, config)
-    offsets = offsets_in_use(params)
+    in_use = depth_parameters_in_use(params)
     equations = depth_equations(params, features[1], features[0], found)
     edge = replace(
         edge_of(target, source, found, config),
-        offsets=offsets,
+        depth_parameters=in_use,
         sensitivity=equations.sensitivity,
         surface_sensitivity=equations.surface_sensitivity,
     )
@@ -64,11 +64,11 @@ def with_registration(
     # Pairs of the same images say the same, as edges do.
     share = 1 / graph.noise.redundancy
     told_of = share * equations.information, share * equations.vector
-    depth = graph.depth.plus(*told_of, offsets, prior_of(params.config))
+    depth = graph.depth.plus(*told_of, in_use, prior_of(params.config))
     return replace(graph, depth=depth), replace(edge, told=True)
 
 
-def with_new_offsets(params: TrackerParams, graph: KeyframeGraph) -> KeyframeGraph:
+def with_new_depth_parameters(params: TrackerParams, graph: KeyframeGraph) -> KeyframeGraph:
     """The graph with the errors of depth as the registrations so far show them.
 
     Args:
@@ -77,7 +77,7 @@ def with_new_offsets(params: TrackerParams, graph: KeyframeGraph) -> KeyframeGra
     """
     if params.depth_correction is None:
         return graph
-    return replace(graph, offsets=graph.depth.estimate(prior_of(params.config)))
+    return replace(graph, depth_parameters=graph.depth.estimate(prior_of(params.config)))
 
 
 def estimated_depth(state: SlamState) -> tuple[DepthCorrection, Float[np.ndarray, "G G"]] | None:

@@ -47,7 +47,7 @@ def edge_noise(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig)
     newest = steady[-_NEWEST:]
     # A tree of edges closes no cycle; each edge beyond it closes one.
     independent = len(newest) - _edges_of_a_tree(newest)
-    errors, prior = _around(newest, graph.offsets), prior_noise(config).covariance
+    errors, prior = _around(newest, graph.depth_parameters), prior_noise(config).covariance
     covariance = prior
     for _ in range(_ROUNDS if len(errors) else 0):
         # Three edges err around a cycle.
@@ -70,7 +70,7 @@ def _by_sensors(
         moved = _by_times(graph, edges)
         # A delay moves all rows, a read-out the first and the last of them in opposite directions.
         total += (times[0, 0] + (times[1, 1] + times[2, 2]) / 12) * moved.T @ moved
-    if len(graph.offsets):
+    if len(graph.depth_parameters):
         unknown = graph.depth.covariance(prior_of(params.config))
         for edge in edges:
             total += edge.sensitivity @ unknown @ edge.sensitivity.T
@@ -92,7 +92,7 @@ def _edges_of_a_tree(edges: Sequence[Edge]) -> int:
     return len({number for edge in edges for number in (edge.target, edge.source)}) - 1
 
 
-def _around(edges: Sequence[Edge], offsets: Float[np.ndarray, " G"]) -> Float[np.ndarray, "n 6"]:
+def _around(edges: Sequence[Edge], depth_parameters: Float[np.ndarray, " G"]) -> Float[np.ndarray, "n 6"]:
     """Tangents of the motions around three keyframes by their surfaces; without errors these are zero."""
     number = {(edge.target, edge.source): i for i, edge in enumerate(edges)}
     into: dict[int, list[int]] = {}
@@ -106,6 +106,6 @@ def _around(edges: Sequence[Edge], offsets: Float[np.ndarray, " G"]) -> Float[np
     ]
     if not cycles:
         return np.zeros((0, 6))
-    T = se3.matrices_of(motions_of(edges, offsets, surface_only=True))
+    T = se3.matrices_of(motions_of(edges, depth_parameters, surface_only=True))
     first, second, whole = np.asarray(cycles, int).T
     return se3.logs_of(np.linalg.inv(T[whole]) @ T[first] @ T[second])

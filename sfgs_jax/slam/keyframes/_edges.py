@@ -51,7 +51,7 @@ def edge_of(target: int, source: int, found: Registration, config: GraphConfig) 
         surface_information=np.asarray(found.surface_information),
         revisit=source - target > config.loop_gap,
         loop=False,
-        offsets=np.zeros(0),
+        depth_parameters=np.zeros(0),
         sensitivity=np.zeros((6, 0)),
         surface_sensitivity=np.zeros((6, 0)),
     )
@@ -82,20 +82,21 @@ def _surface_motion(found: Registration) -> Float[np.ndarray, "7"]:
 
 
 def motions_of(
-    edges: Sequence[Edge], offsets: Float[np.ndarray, " G"], *, surface_only: bool = False
+    edges: Sequence[Edge], depth_parameters: Float[np.ndarray, " G"], *, surface_only: bool = False
 ) -> Float[np.ndarray, "n 7"]:
     """Motions of some edges, as wxyz_xyz.
 
     Args:
         edges: at least one.
-        offsets: (G,) of the depth correction that they should be for.
+        depth_parameters: (G,) of the depth correction that they should be for.
         surface_only: whether to take what the surface alone says.
     """
     motions = np.stack([edge.surface_motion if surface_only else edge.T_target_source for edge in edges])
-    if not len(offsets):
+    if not len(depth_parameters):
         return motions
     shifts = [
-        (edge.surface_sensitivity if surface_only else edge.sensitivity) @ (offsets - edge.offsets)
+        (edge.surface_sensitivity if surface_only else edge.sensitivity)
+        @ (depth_parameters - edge.depth_parameters)
         for edge in edges
     ]
     return _shifted(motions, np.stack(shifts))
@@ -106,7 +107,7 @@ def relative_poses(
     capacity: int,
     *,
     noise: EdgeNoise,
-    offsets: Float[np.ndarray, " G"],
+    depth_parameters: Float[np.ndarray, " G"],
     surface_only: bool = False,
     kernel: Kernel = "none",
     kernel_width: float = 1.0,
@@ -117,7 +118,7 @@ def relative_poses(
         edges: at most `capacity` of them.
         capacity: rows of the block.
         noise: of the edges.
-        offsets: (G,) of the depth correction that the motions should be for.
+        depth_parameters: (G,) of the depth correction that the motions should be for.
         surface_only: whether to take what the surface alone says.
         kernel: robust kernel.
         kernel_width: its width, standard deviations of an edge.
@@ -128,7 +129,7 @@ def relative_poses(
     information = np.tile(np.eye(6, dtype=np.float32), (capacity, 1, 1))
     if count:
         poses[:count] = [(edge.target, edge.source) for edge in edges]
-        motions[:count] = motions_of(edges, offsets, surface_only=surface_only)
+        motions[:count] = motions_of(edges, depth_parameters, surface_only=surface_only)
         told = [edge.surface_information if surface_only else edge.information for edge in edges]
         information[:count] = noise.share(np.stack(told))
     return RelativePose(

@@ -15,7 +15,7 @@ from sfgs_jax.slam.keyframes._deferred_adjustment import (
     with_adjustment_taken,
     with_frame_passed,
 )
-from sfgs_jax.slam.keyframes._depth_estimate import with_new_offsets, with_registration
+from sfgs_jax.slam.keyframes._depth_estimate import with_new_depth_parameters, with_registration
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, likely_drift, with_candidate
@@ -62,7 +62,7 @@ def advance_graph(
         closed |= closed_now
     done = not graph.pending and (waited or grown or (waited_again and not graph.again))
     if closed or done:
-        graph = with_new_offsets(params, graph)
+        graph = with_new_depth_parameters(params, graph)
         graph = _optimised(params, replace(graph, noise=edge_noise(params, graph, config)), config)
     return graph, closed
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend import Found, estimated_timing, features_in_use, offsets_in_use
+from sfgs_jax.slam.frontend import Found, depth_parameters_in_use, estimated_timing, features_in_use
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
@@ -160,7 +160,7 @@ def _with_keyframe(
         frame=new.frame,
         reference=reference,
         T_reference_keyframe=tracked,
-        offsets=offsets_in_use(params),
+        depth_parameters=depth_parameters_in_use(params),
         twist=new.twist,
         times=new.times,
         edition=0,

@@ -101,7 +101,9 @@ def agreeing(
     # Each is judged by its own deviations.
     noise = replace(graph.noise, redundancy=1.0)
     agreed = consistent_loops(
-        relative_poses(candidates, config.max_loop_candidates, noise=noise, offsets=graph.offsets),
+        relative_poses(
+            candidates, config.max_loop_candidates, noise=noise, depth_parameters=graph.depth_parameters
+        ),
         Values(jaxlie.SE3(poses)),
     )
     if agreed.sum() < least:

@@ -65,7 +65,7 @@ def merged(graph: KeyframeGraph, maps: Int[np.ndarray, " n"], bridges: Sequence[
         bridges: registrations between the two, at least one.
     """
     edge, noise = bridges[0], replace(graph.noise, redundancy=1.0)
-    T_target_source = se3.matrices_of(motions_of([edge], graph.offsets))[0]
+    T_target_source = se3.matrices_of(motions_of([edge], graph.depth_parameters))[0]
     fixed, moving, motion = edge.target, edge.source, T_target_source
     if maps[fixed] > maps[moving]:
         fixed, moving, motion = moving, fixed, np.linalg.inv(T_target_source)

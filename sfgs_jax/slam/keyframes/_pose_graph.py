@@ -56,7 +56,7 @@ def bend(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
     ends = np.asarray([(edge.target, edge.source) for edge in old], int).reshape(-1, 2)
     motions = se3.parameters_of(np.linalg.inv(T[ends[:, 0]]) @ T[ends[:, 1]])
     held = [
-        replace(edge, T_target_source=motion, offsets=graph.offsets)
+        replace(edge, T_target_source=motion, depth_parameters=graph.depth_parameters)
         for edge, motion in zip(old, motions, strict=True)
     ]
     return _solved(
@@ -74,7 +74,7 @@ def is_contradicted(graph: KeyframeGraph) -> bool:
     if not again:
         return False
     ends = np.asarray([(edge.target, edge.source) for edge in again])
-    T, found = se3.matrices_of(graph.poses), se3.matrices_of(motions_of(again, graph.offsets))
+    T, found = se3.matrices_of(graph.poses), se3.matrices_of(motions_of(again, graph.depth_parameters))
     off = se3.logs_of(np.linalg.inv(found) @ np.linalg.inv(T[ends[:, 0]]) @ T[ends[:, 1]])
     told = replace(graph.noise, redundancy=1.0).share(np.stack([edge.information for edge in again]))
     return bool(np.einsum("ni,nij,nj->n", off, told, off).max() > CONSISTENT)
@@ -100,7 +100,10 @@ def _problem(
     """Edges over all keyframes; graphs of one capacity mostly run one program, which is sparse if large."""
     room = doubled(capacity * (config.num_neighbours + 1), len(steady))
     block = partial(
-        relative_poses, noise=graph.noise, offsets=graph.offsets, kernel_width=config.kernel_width
+        relative_poses,
+        noise=graph.noise,
+        depth_parameters=graph.depth_parameters,
+        kernel_width=config.kernel_width,
     )
     factors = [
         block(steady, room, kernel="huber"),

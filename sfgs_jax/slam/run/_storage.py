@@ -36,7 +36,7 @@ from sfgs_jax.slam.state import (
 )
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 18
+FORMAT_VERSION = 19
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -299,12 +299,12 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     one, counts = jnp.ones(()), json.loads(metadata["counts"])
     state = init(Camera(one, one, one, one, width=width, height=height), config)
     motion, matrix = np.zeros(7, np.float32), np.zeros((6, 6), np.float32)
-    offsets = state.graph.offsets
-    sensitivity = np.zeros((6, len(offsets)))
-    edge = Edge(0, 0, motion, matrix, motion, matrix, False, False, offsets, sensitivity, sensitivity)
+    parameters = state.graph.depth_parameters
+    sensitivity = np.zeros((6, len(parameters)))
+    edge = Edge(0, 0, motion, matrix, motion, matrix, False, False, parameters, sensitivity, sensitivity)
     shapes = feature_shapes(state.params)
     keyframe = _bare_keyframe(
-        Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, offsets, motion[:6], motion[:3], 0)
+        Keyframe(shapes, np.zeros(0, np.int64), 0, 0, motion, parameters, motion[:6], motion[:3], 0)
     )
     none = np.zeros((0, 0), np.float32)
     image, gain = np.zeros((0, 0, 3), np.uint8), motion[:3]

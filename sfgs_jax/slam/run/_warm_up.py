@@ -18,7 +18,7 @@ from sfgs_jax.slam.frontend import (
     place,
     register,
     search_by_surface,
-    with_depth_offsets,
+    with_depth_parameters,
 )
 from sfgs_jax.slam.keyframes import (
     Reference,
@@ -78,7 +78,7 @@ def _compile_graph(state: SlamState) -> None:
         accept_consistent_loops(replace(graph, candidates=candidates), config)
     tracker = with_graph_poses(state.tracker, graph)
     if state.config.tracking.estimate_depth:
-        params, _ = with_depth_offsets(state.params, tracker, graph.offsets + _ANOTHER_OFFSET)
+        params, _ = with_depth_parameters(state.params, tracker, graph.depth_parameters + _ANOTHER_OFFSET)
         features_in_use(params, graph.keyframes[0])
     if state.config.tracking.estimate_timing:
         rectified_anew(state.params, graph, times + 1, config)

@@ -25,7 +25,8 @@ class Keyframe:
         frame: number of the frame in its source.
         reference: number of the keyframe that it was tracked in; its own for the first of a map.
         T_reference_keyframe: (7,) pose that it was tracked at there, as wxyz_xyz.
-        offsets: (G,) of the depth correction that the features have, 1/m; none if depth is not corrected.
+        depth_parameters: (G,) of the depth correction that the features have; none if depth is not
+            corrected. See `DepthCorrection.vector`.
         twist: (6,) motion per second while it was read, in its camera; zeros if unknown.
         times: (3,) of its rows by which the features were rectified, in the order of `SensorTiming`; seconds.
         edition: how often they were rectified anew.
@@ -36,7 +37,7 @@ class Keyframe:
     frame: int
     reference: int
     T_reference_keyframe: Float[np.ndarray, "7"]
-    offsets: Float[np.ndarray, " G"]
+    depth_parameters: Float[np.ndarray, " G"]
     twist: Float[np.ndarray, "6"]
     times: Float[np.ndarray, "3"]
     edition: int
@@ -59,7 +60,7 @@ class Edge:
         surface_information: (6, 6) of its tangent, likewise.
         revisit: whether it ties a place seen again to the keyframes from before, however small the drift.
         loop: whether it was accepted by its consistency with other loops.
-        offsets: (G,) of the depth correction that it was found with, 1/m.
+        depth_parameters: (G,) of the depth correction that it was found with.
         sensitivity: (6, G) derivative of the motion's tangent by them.
         surface_sensitivity: (6, G) derivative of the surface's motion by them.
         told: whether the estimate of depth's errors has heard it.
@@ -73,7 +74,7 @@ class Edge:
     surface_information: Float[np.ndarray, "6 6"]
     revisit: bool
     loop: bool
-    offsets: Float[np.ndarray, " G"]
+    depth_parameters: Float[np.ndarray, " G"]
     sensitivity: Float[np.ndarray, "6 G"]
     surface_sensitivity: Float[np.ndarray, "6 G"]
     told: bool = False
@@ -197,7 +198,7 @@ class KeyframeGraph:
         landmarks: places of the landmarks.
         adjustment: one that has been started and whose results have not been taken, if there is one.
         depth: what the registrations said about the distortion of depth.
-        offsets: (G,) of the depth correction that the poses are for, 1/m.
+        depth_parameters: (G,) of the depth correction that the poses are for.
         times_covariance: (3, 3) of the times of the rows as known at the newest keyframe, s²; zeros where
             they are not estimated.
     """
@@ -214,7 +215,7 @@ class KeyframeGraph:
     landmarks: Landmarks
     adjustment: PendingAdjustment | None
     depth: DepthInformation
-    offsets: Float[np.ndarray, " G"]
+    depth_parameters: Float[np.ndarray, " G"]
     times_covariance: Float[np.ndarray, "3 3"]
 
     def __repr__(self) -> str:
@@ -240,11 +241,11 @@ class KeyframeGraph:
         return jaxlie.SE3(self.poses[number])
 
 
-def empty_graph(offsets: Float[np.ndarray, " G"], noise: EdgeNoise) -> KeyframeGraph:
+def empty_graph(depth_parameters: Float[np.ndarray, " G"], noise: EdgeNoise) -> KeyframeGraph:
     """The graph before the first keyframe.
 
     Args:
-        offsets: of the depth correction to start from, 1/m; none if depth is not corrected.
+        depth_parameters: (G,) of the depth correction to start from; none if depth is not corrected.
         noise: of the edges to come.
     """
     return KeyframeGraph(
@@ -259,7 +260,7 @@ def empty_graph(offsets: Float[np.ndarray, " G"], noise: EdgeNoise) -> KeyframeG
         candidates=(),
         landmarks=Landmarks(np.zeros(0, int), np.zeros((0, 3))),
         adjustment=None,
-        depth=no_depth_information(offsets),
-        offsets=offsets,
+        depth=no_depth_information(depth_parameters),
+        depth_parameters=depth_parameters,
         times_covariance=np.zeros((3, 3)),
     )
