@@ -14,7 +14,7 @@ import pytest
 from sfgs_jax import slam
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import GicpConfig
-from sfgs_jax.sensors import SensorModel, SensorTiming
+from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming
 from sfgs_jax.slam import FeaturesConfig
 
 ROOT = Path(__file__).parents[2]
@@ -69,7 +69,10 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     settings = examples["settings"]
     features = replace(settings.features, match_weights="learned")
     settings = replace(settings, gicp=exact, features=features, estimate_timing=True, estimate_depth=True)
-    known = SensorModel(timing=SensorTiming(0.004, 0.01, 0.008))
+    # Not zero: there the rays would lie on the pixels, where interpolation has a kink.
+    extrinsic = jnp.asarray([0.003, -0.002, 0.004, 0.002, -0.003, 0.001], jnp.float32)
+    correction = DepthCorrection(jnp.zeros(DEPTH_GRID, jnp.float32), extrinsic)
+    known = SensorModel(timing=SensorTiming(0.004, 0.01, 0.008), depth=correction)
     params = slam.tracker_params(examples["recording"].camera, settings, known)
     # NumPy's arrays: in JAX's, each operation that prepares them is one more program to compile.
     *inputs, tracker = in_float64((params, *examples["inputs"][1:], examples["tracker"]))
@@ -90,6 +93,7 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
         "reliability": (lambda tree: tree[0].network.rely, None),
         "times of the rows": (lambda tree: tree[0].timing, None),
         "depth grid": (lambda tree: tree[0].depth_correction.offsets, every),
+        "extrinsic": (lambda tree: tree[0].depth_correction.extrinsic, every),
         "image": (lambda tree: tree[1], last_one),
         "depth": (lambda tree: tree[2], last_one),
         "earlier images": (lambda tree: tree[1], earlier),
