@@ -16,7 +16,7 @@ from sfgs_jax.sensors._exposure import with_gain as with_gain
 from sfgs_jax.sensors._exposure_file import EXPOSURE_FILE as EXPOSURE_FILE
 from sfgs_jax.sensors._exposure_file import format_gains as format_gains
 from sfgs_jax.sensors._exposure_file import read_gains as read_gains
-from sfgs_jax.sensors._lens import Undistortion as Undistortion
+from sfgs_jax.sensors._lens import undistorted as undistorted
 from sfgs_jax.sensors._model import SensorModel as SensorModel
 from sfgs_jax.sensors._outlines import colour_edges as colour_edges
 from sfgs_jax.sensors._outlines import depth_outlines as depth_outlines
@@ -30,3 +30,4 @@ from sfgs_jax.sensors._timing import carried as carried
 from sfgs_jax.sensors._timing import row_places as row_places
 from sfgs_jax.sensors._timing import turned as turned
 from sfgs_jax.sensors._timing import velocities as velocities
+from sfgs_jax.sensors._undistortion import Undistortion as Undistortion

@@ -6,9 +6,8 @@ from jaxtyping import Array, Float
 
 from sfgs_jax.arrays import dot
 from sfgs_jax.geometry import Camera, se3
+from sfgs_jax.sensors._depth_interpolation import interpolated_depth
 
-_EDGE = 1.05
-"""Ratio of depths within two by two pixels beyond which there is an edge, and nothing to interpolate."""
 _STEEPEST = 0.2
 """Least cosine between a ray and the normal that it meets. A pixel's width becomes five in depth there."""
 
@@ -19,8 +18,7 @@ def registered_depth(
     """Depth as the colour camera would have seen it.
 
     Each ray takes the depth from where its surface was seen. That is found by the flow at the ray itself,
-    which is smooth but for edges of depth, and right to a twentieth. Inverse depth is interpolated, for it
-    is linear across a plane. Gradients reach the tangent.
+    which is smooth but for edges of depth, and right to a twentieth. Gradients reach the tangent.
 
     Args:
         depth: (H, W) metres along z of the depth camera, 0 where missing.
@@ -33,7 +31,7 @@ def registered_depth(
     T, pixels, seen = se3.exp(tangent), camera.pixels().reshape(-1, 2).T, depth.reshape(-1)
     flow = _project(camera, _moved(T, camera, pixels, jnp.where(seen > 0, seen, 1))) - pixels
     there = pixels - flow
-    found = jnp.where(seen > 0, _interpolated(depth, there), 0)
+    found = jnp.where(seen > 0, interpolated_depth(depth, there), 0)
     known = found > 0
     points = _moved(T, camera, there, jnp.where(known, found, 1))
     # At an edge of depth another surface may lie there, and be seen elsewhere.
@@ -72,28 +70,3 @@ def _moved(
 def _project(camera: Camera, points: Float[Array, "3 N"]) -> Float[Array, "2 N"]:
     z = jnp.maximum(points[2], 1e-6)
     return jnp.stack([camera.fx * points[0] / z + camera.cx, camera.fy * points[1] / z + camera.cy])
-
-
-def _interpolated(depth: Float[Array, "H W"], pixels: Float[Array, "2 N"]) -> Float[Array, " N"]:
-    """Depth between pixels: that of the nearest one at an edge, 0 where it is missing and outside."""
-    height, width = depth.shape
-    column, row = (
-        jnp.clip(jnp.floor(place), 0, max(size - 2, 0))
-        for place, size in zip(pixels, (width, height), strict=True)
-    )
-    right, down = pixels[0] - column, pixels[1] - row
-    inside = (jnp.abs(right - 0.5) <= 1) & (jnp.abs(down - 0.5) <= 1)
-    # The four side by side, so that one gather copies all.
-    flat = jnp.pad(depth.reshape(-1), (0, width + 1))
-    four = jnp.stack([flat[step : step + depth.size] for step in (0, 1, width, width + 1)], axis=-1)
-    around = four[(row * width + column).astype(jnp.int32)].T
-    share = jnp.stack([(1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down])
-    near, far = around.min(axis=0), around.max(axis=0)
-    smooth = (near > 0) & (far < _EDGE * near)
-    between = 1 / jnp.sum(share / jnp.where(smooth[None], around, 1), axis=0)
-    nearest = jnp.where(
-        down > 0.5,
-        jnp.where(right > 0.5, around[3], around[2]),
-        jnp.where(right > 0.5, around[1], around[0]),
-    )
-    return jnp.where(inside, jnp.where(smooth, between, nearest), 0)

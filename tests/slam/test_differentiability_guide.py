@@ -14,7 +14,7 @@ import pytest
 from sfgs_jax import slam
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import GicpConfig
-from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming
+from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming, undistorted
 from sfgs_jax.slam import FeaturesConfig
 
 ROOT = Path(__file__).parents[2]
@@ -75,12 +75,15 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     known = SensorModel(timing=SensorTiming(0.004, 0.01, 0.008), depth=correction)
     params = slam.tracker_params(examples["recording"].camera, settings, known)
     # NumPy's arrays: in JAX's, each operation that prepares them is one more program to compile.
-    *inputs, tracker = in_float64((params, *examples["inputs"][1:], examples["tracker"]))
+    lens = np.asarray([0.02, -0.01, 0.001, -0.002, 0.005])
+    *inputs, tracker = in_float64((params, *examples["inputs"][1:], lens, examples["tracker"]))
 
     @eqx.filter_jit
     def pose_and_rate(inputs, rates, tracker):
         def last(inputs):
-            _, found = slam.track_sequence(inputs[0], tracker, *inputs[1:])
+            params, images, depths, elapsed, lens = inputs
+            images, depths = jax.vmap(undistorted, (0, 0, None, None))(images, depths, params.camera, lens)
+            _, found = slam.track_sequence(params, tracker, images, depths, elapsed)
             return se3.log(found.T_world_cam)[-1] @ jnp.arange(1.0, 7)
 
         return eqx.filter_jvp(last, (inputs,), (rates,))
@@ -99,6 +102,7 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
         "earlier images": (lambda tree: tree[1], earlier),
         "earlier depths": (lambda tree: tree[2], earlier),
         "seconds": (lambda tree: tree[3], every),
+        "lens": (lambda tree: tree[4], every),
     }
     zero = jax.tree.map(lambda x: np.zeros_like(x) if eqx.is_inexact_array_like(x) else None, inputs)
 
@@ -107,7 +111,7 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
         return (x if np.any(x) else 0.01) * rng.normal(size=x.shape)
 
     with jax.numpy_dtype_promotion("standard"):  # indices are int64 here
-        shapes = jax.eval_shape(slam.track, inputs[0], tracker, *(x[0] for x in inputs[1:]))[0]
+        shapes = jax.eval_shape(slam.track, inputs[0], tracker, *(x[0] for x in inputs[1:4]))[0]
         tracker = jax.tree.map(lambda x, like: x.astype(like.dtype), tracker, shapes)
         for name, (part, rows) in parts.items():
             along = jax.tree.map(moved_along, eqx.filter(part(inputs), eqx.is_inexact_array_like))
