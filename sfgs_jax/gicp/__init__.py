@@ -10,6 +10,7 @@ from sfgs_jax.gicp._correspondences import Correspondences as Correspondences
 from sfgs_jax.gicp._correspondences import SourcePoints as SourcePoints
 from sfgs_jax.gicp._correspondences import TargetSurface as TargetSurface
 from sfgs_jax.gicp._correspondences import associate as associate
+from sfgs_jax.gicp._distance_noise import DistanceNoise as DistanceNoise
 from sfgs_jax.gicp._level_problem import LevelProblem as LevelProblem
 from sfgs_jax.gicp._level_problem import level_problem as level_problem
 from sfgs_jax.gicp._normal_equations import MotionPrior as MotionPrior

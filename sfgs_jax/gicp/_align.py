@@ -16,6 +16,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.gicp._assessment import ASSESSMENT_DECIMATION, RegistrationResult, assess
 from sfgs_jax.gicp._centred_frames import CentredFrames
 from sfgs_jax.gicp._config import GicpConfig
+from sfgs_jax.gicp._distance_noise import DistanceNoise
 from sfgs_jax.gicp._implicit import newton_corrected
 from sfgs_jax.gicp._level_problem import Levels, Minimum, level_problem
 from sfgs_jax.gicp._normal_equations import MotionPrior
@@ -24,8 +25,10 @@ from sfgs_jax.gicp.clouds import OrganisedCloud, PointCloud
 
 Cloud = OrganisedCloud | PointCloud
 
-_Inputs = tuple[Levels, Levels, jaxlie.SE3, MotionPrior | None, Int[Array, ""], Sweep | None]
-"""Levels of the source, levels of the target, start, prior, coarsest level, sweep of the source."""
+_Inputs = tuple[
+    Levels, Levels, jaxlie.SE3, MotionPrior | None, Int[Array, ""], Sweep | None, DistanceNoise | None
+]
+"""Levels of the source, levels of the target, start, prior, coarsest level, sweep and noise of the source."""
 _Outputs = tuple[jaxlie.SE3, Int[Array, ""], Bool[Array, ""]]
 """Fields of a `Minimum`: the rule of a derivative gives None for those that have none."""
 
@@ -38,6 +41,7 @@ def align(
     prior: MotionPrior | None = None,
     coarsest: int | Int[Array, ""] | None = None,
     sweep: Sweep | None = None,
+    noise: DistanceNoise | None = None,
     config: GicpConfig | None = None,
 ) -> RegistrationResult:
     """Motion that lays the source on the target, from a start near it.
@@ -47,9 +51,9 @@ def align(
     step holds them and the weights fixed, as in Segal et al., Generalized-ICP (RSS 2009). No step takes a
     direction that the geometry leaves free; the result names these directions.
 
-    The motion is differentiable with respect to the clouds and the prior, by the implicit function theorem at
-    the correspondences found. Its derivative with respect to the start is 0, and nothing else in the result
-    has one.
+    The motion is differentiable with respect to the clouds, the prior and the noise, by the implicit function
+    theorem at the correspondences found. Its derivative with respect to the start is 0, and nothing else in
+    the result has one.
 
     Args:
         source: cloud of the frame to locate, from `prepare` or `prepare_points`.
@@ -60,6 +64,7 @@ def align(
             good to a few centimetres needs no coarse ones. A new value does not compile anew.
         sweep: motion of the camera while the source was read, for organised sources. Each step renews it,
             and the derivative of the motion heeds that.
+        noise: of the source's distances, for organised sources; that of the settings if not given.
         config: settings, `GicpConfig()` if not given.
 
     Raises:
@@ -79,11 +84,13 @@ def align(
                 f"The {name} has {len(cloud.levels)} levels, but the config {config.levels}; "
                 "prepare both clouds with this config."
             )
+    if noise is not None and not isinstance(noise, DistanceNoise):
+        raise InputError(f"The noise is a DistanceNoise, not {described(noise)}.")
     if sweep is not None and not isinstance(source, OrganisedCloud):
         raise InputError("Only a depth image has rows that a sweep could move: leave out `sweep` for points.")
     levels = max(len(source.levels), len(target.levels))
     begin = jnp.asarray(levels - 1 if coarsest is None else coarsest, jnp.int32)
-    return _align(source, target, start, prior, jnp.maximum(begin, 0), sweep, config)
+    return _align(source, target, start, prior, jnp.maximum(begin, 0), sweep, noise, config)
 
 
 @partial(jax.jit, static_argnames="config")
@@ -94,14 +101,18 @@ def _align(
     prior: MotionPrior | None,
     coarsest: Int[Array, ""],
     sweep: Sweep | None,
+    noise: DistanceNoise | None,
     config: GicpConfig,
 ) -> RegistrationResult:
     frames = CentredFrames(_origin(source), _origin(target))
     prior = None if prior is None else frames.centred_prior(prior)
-    inputs = source.levels, target.levels, frames.centred(start), prior, coarsest, sweep
+    inputs = source.levels, target.levels, frames.centred(start), prior, coarsest, sweep, noise
     minimum = Minimum(*_coarse_to_fine(inputs, config=config))
     finest = level_problem(
-        source.levels, target.levels, None, 0, config, sweep=sweep, decimation=ASSESSMENT_DECIMATION
+        *(source.levels, target.levels, None, 0, config),
+        sweep=sweep,
+        noise=noise,
+        decimation=ASSESSMENT_DECIMATION,
     ).at(minimum.T_target_source)
     # Only the motion has derivatives: those of eigenvectors that are not unique would be NaN.
     result = assess(*lax.stop_gradient((finest, minimum)))
@@ -116,10 +127,10 @@ def _align(
 @eqx.filter_custom_jvp
 def _coarse_to_fine(inputs: _Inputs, *, config: GicpConfig) -> _Outputs:
     """Minimum of each level in turn, from the coarsest to the finest, as the start of the next."""
-    source, target, T, prior, coarsest, sweep = inputs
+    source, target, T, prior, coarsest, sweep, noise = inputs
     iterations, converged = jnp.asarray(0), jnp.asarray(False)
     for index in reversed(range(max(len(source), len(target)))):
-        problem = level_problem(source, target, prior, index, config, sweep=sweep)
+        problem = level_problem(source, target, prior, index, config, sweep=sweep, noise=noise)
         minimum = problem.minimise(T, skipped=index > coarsest)
         T, converged = minimum.T_target_source, minimum.converged
         iterations += minimum.iterations
@@ -135,8 +146,8 @@ def _coarse_to_fine_jvp(
     outputs = _coarse_to_fine(inputs, config=config)
 
     def corrected(moving: _Inputs) -> jaxlie.SE3:
-        source, target, _, prior, _, sweep = moving
-        finest = level_problem(source, target, prior, 0, config, sweep=sweep)
+        source, target, _, prior, _, sweep, noise = moving
+        finest = level_problem(source, target, prior, 0, config, sweep=sweep, noise=noise)
         return newton_corrected(finest, outputs[0])
 
     _, rate = eqx.filter_jvp(corrected, (inputs,), (rates,))

@@ -21,6 +21,7 @@ from sfgs_jax.arrays import (
 )
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.gicp._config import GicpConfig, at_level
+from sfgs_jax.gicp._distance_noise import DistanceNoise
 from sfgs_jax.gicp._exact_products import exact_products
 from sfgs_jax.gicp._sweep import RowMotion
 from sfgs_jax.gicp.clouds import OrganisedLevel, PointLevel, SpatialHash, nearest
@@ -97,14 +98,14 @@ class Correspondences(eqx.Module):
     valid: Bool[Array, " N"]
 
 
-def source_points(level: OrganisedLevel | PointLevel, stride: int, config: GicpConfig) -> SourcePoints:
+def source_points(level: OrganisedLevel | PointLevel, stride: int, noise: DistanceNoise) -> SourcePoints:
     """Points of a level as source; of an organised one every stride-th row and column."""
     if isinstance(level, PointLevel):
         variance = level.deviation[None] ** 2
         return SourcePoints(level.points.T, level.normals.T, variance, level.valid, None, oriented=False)
     surface, valid = (x[::stride, ::stride] for x in (level.surface, level.valid))
     columns = surface.reshape(-1, 6).T
-    variance = (config.noise + config.noise_per_square_metre * columns[2] ** 2) ** 2
+    variance = noise.deviation(columns[2]) ** 2
     height = level.camera.height
     rows = row_places(jnp.arange(0, height, stride, dtype=columns.dtype), height)
     rows = jnp.broadcast_to(rows[:, None], valid.shape).reshape(-1)

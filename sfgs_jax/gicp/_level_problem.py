@@ -22,6 +22,7 @@ from sfgs_jax.gicp._correspondences import (
     target_surface,
     with_moving_rows,
 )
+from sfgs_jax.gicp._distance_noise import DistanceNoise
 from sfgs_jax.gicp._normal_equations import (
     MotionPrior,
     NormalEquations,
@@ -232,6 +233,7 @@ def level_problem(
     config: GicpConfig,
     *,
     sweep: Sweep | None = None,
+    noise: DistanceNoise | None = None,
     decimation: int = 1,
 ) -> LevelProblem:
     """Problem of a level; a cloud with fewer levels repeats its coarsest.
@@ -243,13 +245,14 @@ def level_problem(
         index: level, counted from the finest.
         config: settings.
         sweep: motion while an organised source was read.
+        noise: of an organised source; that of the settings if not given.
         decimation: factor by which an organised source gets fewer rows, and fewer columns, than it aligns.
     """
     level = at_level(source, index)
     if isinstance(level, PointLevel):
         decimation = 1
     stride = decimation * _stride(level, index, config)
-    points = source_points(level, stride, config)
+    points = source_points(level, stride, noise or DistanceNoise(config.noise, config.noise_per_square_metre))
     return LevelProblem(
         source=points,
         target=target_surface(at_level(target, index), index, config),

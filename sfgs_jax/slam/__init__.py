@@ -65,6 +65,7 @@ from sfgs_jax.slam.state import SlamState as SlamState
 from sfgs_jax.slam.state import StepInfo as StepInfo
 from sfgs_jax.slam.state import Tracker as Tracker
 from sfgs_jax.slam.state import TrackerParams as TrackerParams
+from sfgs_jax.slam.state import TrackingNoise as TrackingNoise
 from sfgs_jax.slam.state import View as View
 from sfgs_jax.slam.step import Followed as Followed
 from sfgs_jax.slam.step import follow as follow

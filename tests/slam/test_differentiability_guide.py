@@ -101,6 +101,7 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
         "depth": (lambda tree: tree[2], last_one),
         "earlier images": (lambda tree: tree[1], earlier),
         "earlier depths": (lambda tree: tree[2], earlier),
+        "noise": (lambda tree: tree[0].noise, None),
         "seconds": (lambda tree: tree[3], every),
         "lens": (lambda tree: tree[4], every),
     }

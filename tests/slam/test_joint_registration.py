@@ -144,16 +144,14 @@ def test_what_the_reference_does_not_show_is_no_reason_to_doubt_a_surface(
     assert int(found.source) == expected
 
 
-def test_inliers_that_another_motion_explains_are_counted(rng, look, tracking):
+def test_inliers_that_another_motion_explains_are_counted(rng, look, params):
     image = texture(rng)
     source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
-    matched = motion_from_keypoints(
-        source.keypoints, target.keypoints, se3.identity(), CAMERA, tracking.features
-    )
+    matched = motion_from_keypoints(source.keypoints, target.keypoints, se3.identity(), params)
 
     @jax.jit
     def explained(T):
-        return num_explained(T, matched, source.keypoints, target.keypoints, CAMERA, tracking.features)
+        return num_explained(T, matched, source.keypoints, target.keypoints, params)
 
     assert explained(matched.T_target_source) == int(matched.num_inliers) > 50
     assert explained(se3.identity()) == 0  # five pixels away
@@ -279,10 +277,10 @@ def test_what_is_left_carries_the_frame(room, frames, config, dark, blind, expec
         assert np.degrees(np.arccos(min(1, (np.trace(error[:3, :3]) - 1) / 2))) < 1.5
 
 
-def test_keypoints_give_the_motion_of_known_matches(rng, look, tracking):
+def test_keypoints_give_the_motion_of_known_matches(rng, look, params):
     """Points of known depth, a third of them wrong, and their information beside the spread of trials."""
     source, target = look(wall(texture(rng), SHIFT)), look(wall(texture(rng), (0, 0, 0)))
-    k, features = target.keypoints.depth.size, tracking.features
+    k = target.keypoints.depth.size
     descriptors = np.eye(k, 64, dtype=np.float32) + rng.normal(size=(k, 64)).astype(np.float32) / 8
     descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
     pixels = rng.uniform([0, 0], [160, 120], (k, 2)).astype(np.float32)
@@ -306,8 +304,8 @@ def test_keypoints_give_the_motion_of_known_matches(rng, look, tracking):
     z = np.where(wrong, rng.uniform(1, 3, k), seen[:, 2]).astype(np.float32)
     z[::5] = 0
     moved = keypoints(source, where, z, CAMERA.unproject(jnp.asarray(where), jnp.asarray(np.maximum(z, 1))))
-    found = jax.jit(motion_from_keypoints, static_argnums=4)(
-        moved, keypoints(target, pixels, depth, points), se3.identity(), CAMERA, features
+    found = jax.jit(motion_from_keypoints)(
+        moved, keypoints(target, pixels, depth, points), se3.identity(), params
     )
     error = se3.log(se3.compose(se3.inverse(T), found.T_target_source))
     np.testing.assert_allclose(error, 0, atol=1e-4)

@@ -69,7 +69,7 @@ def depth_scale_change(
     """
     config, total = params.config, jnp.zeros((8, 8))
     if config.use_surface:
-        surface = surface_rows(source, target, T_target_source, config.gicp, moving)
+        surface = surface_rows(params, source, target, T_target_source, moving)
         by_scale = dot(surface.points, surface.normals)
         total += _normal_matrix(surface.pose, by_scale, surface.residual, surface.weight)
     if config.features.kind != "none":
@@ -77,7 +77,7 @@ def depth_scale_change(
         depth = source.keypoints.depth
         measured = jnp.where(depth > 0, 1 / jnp.where(depth > 0, depth, 1), 0)
         # Only what the source measured moves with its scale, which is inverse depth.
-        inverse = measured / config.features.inverse_depth_sigma
+        inverse = measured / params.noise.inverse_depth
         by_scale = jnp.concatenate([jnp.zeros_like(inverse), jnp.zeros_like(inverse), inverse])
         total += _normal_matrix(rows.pose, by_scale, rows.residual, rows.weights)
     # Scaled before it is factorised, for float32; a pose that nothing fixes takes nothing away.

@@ -15,6 +15,7 @@ from sfgs_jax.sensors import carried, row_places
 from sfgs_jax.slam.config import FeaturesConfig
 from sfgs_jax.slam.state._frame_features import Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
+from sfgs_jax.slam.state._tracker import TrackerParams
 from sfgs_jax.superfeats import Expected, Matches, match
 
 _STEPS = 8
@@ -39,8 +40,7 @@ def motion_from_keypoints(
     source: Keypoints,
     target: Keypoints,
     guess: jaxlie.SE3,
-    camera: Camera,
-    config: FeaturesConfig,
+    params: TrackerParams,
     sweep: gicp.Sweep | None = None,
     *,
     guess_known: Bool[Array, ""] | bool = True,
@@ -60,12 +60,11 @@ def motion_from_keypoints(
         source: keypoints of the frame to locate, whose depth may be missing.
         target: keypoints with depth of the frame to locate it in.
         guess: the motion as it is thought to be.
-        camera: intrinsics of both.
-        config: settings.
+        params: parameters of tracking.
         sweep: motion of the source while it was read; None where it stood still.
         guess_known: whether the guess says where keypoints should lie.
     """
-    slots = source.depth.shape[0]
+    config, slots = params.config.features, source.depth.shape[0]
     if slots == 0:
         # Features are switched off.
         nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
@@ -74,7 +73,7 @@ def motion_from_keypoints(
         source.features,
         target.features,
         min_similarity=config.min_similarity,
-        expected=_expected(target, guess, camera, config, guess_known),
+        expected=_expected(target, guess, params.camera, config, guess_known),
     )
     valid = matches.valid & target.measured[matches.index_b]
     weights = _weights(source, target, matches, valid, config)
@@ -83,9 +82,9 @@ def motion_from_keypoints(
     )
 
     num_matches = jnp.sum(valid, dtype=jnp.int32)
-    start = _guess_or_rigid_motion(guess, source, rows, matches.similarity, camera, config)
-    T, hessian = _refine(start, rows, camera, config)
-    inliers = _explained(T, rows, camera, config, config.inlier_pixels)
+    start = _guess_or_rigid_motion(guess, source, rows, matches.similarity, params)
+    T, hessian = _refine(start, rows, params)
+    inliers = _explained(T, rows, params, config.inlier_pixels)
     return FeatureRegistration(
         T,
         hessian / config.correlation,
@@ -101,14 +100,14 @@ def num_explained(
     matched: FeatureRegistration,
     source: Keypoints,
     target: Keypoints,
-    camera: Camera,
-    config: FeaturesConfig,
+    params: TrackerParams,
     sweep: gicp.Sweep | None = None,
 ) -> Int[Array, ""]:
     """Inliers that another motion explains too, counted."""
-    points, pixels = target.points[matched.index], source.features.keypoints
-    rows = _Rows(points, pixels, source.depth, matched.inliers, sweep)
-    return jnp.sum(_explained(T_target_source, rows, camera, config, config.inlier_pixels), dtype=jnp.int32)
+    points, seen = target.points[matched.index], source.features.keypoints
+    rows = _Rows(points, seen, source.depth, matched.inliers, sweep)
+    pixels = params.config.features.inlier_pixels
+    return jnp.sum(_explained(T_target_source, rows, params, pixels), dtype=jnp.int32)
 
 
 def _guess_or_rigid_motion(
@@ -116,16 +115,15 @@ def _guess_or_rigid_motion(
     source: Keypoints,
     rows: _Rows,
     similarity: Float[Array, " k"],
-    camera: Camera,
-    config: FeaturesConfig,
+    params: TrackerParams,
 ) -> jaxlie.SE3:
     """The guess if it explains most of the matches, else it or a rigid motion, whichever explains more."""
-    shares = _shares(rows, camera)
-    guessed = _support(guess, rows, shares, camera, config)
+    shares = _shares(rows, params.camera)
+    guessed = _support(guess, rows, shares, params)
 
     def rigid() -> jaxlie.SE3:
-        T = _rigid_motion(source, rows, similarity, config)
-        better = _support(T, rows, shares, camera, config) > guessed
+        T = _rigid_motion(source, rows, similarity, params.config.features)
+        better = _support(T, rows, shares, params) > guessed
         return jaxlie.SE3(jnp.where(better, T.wxyz_xyz, guess.wxyz_xyz))
 
     # A guess that explains most of the matches has no rival, and is a good enough start.
@@ -180,34 +178,32 @@ def _rigid_motion(
 
 
 def _residuals(
-    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig
+    T: jaxlie.SE3, rows: _Rows, params: TrackerParams
 ) -> tuple[Float[Array, "3 k"], Float[Array, "3 6 k"], Bool[Array, " k"]]:
     """Whitened residuals of T_target_source, their Jacobians in its tangent, and which rows have an image."""
     # Rows that are not valid may hold anything: they go to where nothing has an image.
     points = jnp.where(rows.valid, se3.transform(se3.inverse(T), rows.points).T, 0)
     if rows.sweep is not None:
         moving = rows.sweep.at(T)
-        times = moving.timing.colour_times(row_places(rows.pixels[:, 1], camera.height))
+        times = moving.timing.colour_times(row_places(rows.pixels[:, 1], params.camera.height))
         # The Jacobian leaves out that the twist turns with T: it says where to step, not where to end.
         points = carried(points, moving.twist, -times)
     found = reprojection_residuals(
-        camera,
+        params.camera,
         points,
         rows.pixels.T,
         rows.depth,
-        sigma=config.pixel_sigma,
-        inverse_depth_sigma=config.inverse_depth_sigma,
+        sigma=params.noise.pixels,
+        inverse_depth_sigma=params.noise.inverse_depth,
     )
     return found.residual, found.pose_jacobian, found.has_image
 
 
-def _explained(
-    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig, pixels: float
-) -> Bool[Array, " k"]:
-    residual, _, front = _residuals(T, rows, camera, config)
+def _explained(T: jaxlie.SE3, rows: _Rows, params: TrackerParams, pixels: float) -> Bool[Array, " k"]:
+    residual, _, front = _residuals(T, rows, params)
     error = jnp.sum(residual[:2] ** 2, axis=0)
-    near = jnp.abs(residual[2]) < config.inlier_depth_sigmas
-    return front & near & (error < (pixels / config.pixel_sigma) ** 2)
+    near = jnp.abs(residual[2]) < params.config.features.inlier_depth_sigmas
+    return front & near & (error < (pixels / params.noise.pixels) ** 2)
 
 
 def _shares(rows: _Rows, camera: Camera) -> Float[Array, " k"]:
@@ -226,21 +222,20 @@ def _shares(rows: _Rows, camera: Camera) -> Float[Array, " k"]:
 
 
 def _support(
-    T: jaxlie.SE3, rows: _Rows, shares: Float[Array, " k"], camera: Camera, config: FeaturesConfig
+    T: jaxlie.SE3, rows: _Rows, shares: Float[Array, " k"], params: TrackerParams
 ) -> Float[Array, ""]:
     """Cells of the image that an unrefined motion explains."""
-    return jnp.sum(jnp.where(_explained(T, rows, camera, config, 2 * config.inlier_pixels), shares, 0))
+    pixels = 2 * params.config.features.inlier_pixels
+    return jnp.sum(jnp.where(_explained(T, rows, params, pixels), shares, 0))
 
 
-def _refine(
-    T: jaxlie.SE3, rows: _Rows, camera: Camera, config: FeaturesConfig
-) -> tuple[jaxlie.SE3, Float[Array, "6 6"]]:
+def _refine(T: jaxlie.SE3, rows: _Rows, params: TrackerParams) -> tuple[jaxlie.SE3, Float[Array, "6 6"]]:
     """Iteratively reweighted Gauss-Newton; the Hessian at the end, divided by the residuals' excess."""
 
     def equations(T: jaxlie.SE3) -> tuple[Array, Array, Array, Array]:
-        residual, jacobian, front = _residuals(T, rows, camera, config)
-        square = jnp.sum(residual**2, axis=0)
-        weight = jnp.where(front, kernel_weight(square, "geman_mcclure", config.kernel_width), 0)
+        residual, jacobian, front = _residuals(T, rows, params)
+        square, width = jnp.sum(residual**2, axis=0), params.config.features.kernel_width
+        weight = jnp.where(front, kernel_weight(square, "geman_mcclure", width), 0)
         weight = weight if rows.weights is None else weight * rows.weights
         rows_of = jnp.moveaxis(jacobian, 1, 0).reshape(6, -1)
         weighted = jnp.moveaxis(weight[None, None] * jacobian, 1, 0).reshape(6, -1)

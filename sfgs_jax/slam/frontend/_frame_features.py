@@ -16,7 +16,7 @@ from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._depth_scatter import is_noise
 from sfgs_jax.slam.frontend._image_signature import image_signature
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
-from sfgs_jax.slam.state._tracker import TrackerParams
+from sfgs_jax.slam.state._tracker import TrackerParams, TrackingNoise
 from sfgs_jax.superfeats import Features, extract, extract_orb, load_weights, mean_grey
 
 _BLOCK = 4
@@ -51,7 +51,19 @@ def tracker_params(
     if config.estimate_extrinsic and correction.extrinsic is None:
         correction = DepthCorrection(correction.offsets, jnp.zeros(6, correction.offsets.dtype))
     correction = correction if config.estimate_depth else None
-    return TrackerParams(camera, network, sensors.timing or SensorTiming(), correction, config)
+    timing = sensors.timing or SensorTiming()
+    return TrackerParams(camera, network, timing, correction, _noise(config), config)
+
+
+def _noise(config: TrackingConfig) -> TrackingNoise:
+    pixels, inverse_depth, metres, per_square_metre = (
+        jnp.asarray(x, jnp.float32)
+        for x in (
+            *(config.features.pixel_sigma, config.features.inverse_depth_sigma),
+            *(config.gicp.noise, config.gicp.noise_per_square_metre),
+        )
+    )
+    return TrackingNoise(pixels, inverse_depth, gicp.DistanceNoise(metres, per_square_metre))
 
 
 def observe(params: TrackerParams, frame: Frame) -> FrameFeatures:

@@ -89,7 +89,7 @@ def _register(
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
     source = source if sweep is None else _in_time(source, params, sweep.at(guess))
     pair = source.keypoints, target.keypoints
-    matched = motion_from_keypoints(*pair, guess, params.camera, features, sweep, guess_known=guess_known)
+    matched = motion_from_keypoints(*pair, guess, params, sweep, guess_known=guess_known)
     share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
     helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
     many = matched.num_inliers >= features.min_inliers_alone
@@ -154,7 +154,7 @@ def _agree(
 ) -> Bool[Array, ""]:
     """True if the keypoints' motion is close to the surface's, or that explains most of their inliers."""
     config, points = params.config, (source.keypoints, target.keypoints)
-    explained = num_explained(T, matched, *points, params.camera, config.features, sweep)
+    explained = num_explained(T, matched, *points, params, sweep)
     close = _apart(matched.T_target_source, T) < config.max_disagreement
     return close | (2 * explained > matched.num_inliers)
 
@@ -224,7 +224,10 @@ def _align(
     # Many keypoints bring the start within reach of the finer levels.
     coarsest = jnp.where(helpful & many, 1, config.gicp.levels - 1)
     clouds = source.cloud, target.cloud
-    return gicp.align(*clouds, start, prior=prior, coarsest=coarsest, sweep=sweep, config=config.gicp)
+    noise, settings = params.noise.surface, config.gicp
+    return gicp.align(
+        *clouds, start, prior=prior, coarsest=coarsest, sweep=sweep, noise=noise, config=settings
+    )
 
 
 def _stands_alone(

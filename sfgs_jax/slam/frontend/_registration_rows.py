@@ -94,23 +94,25 @@ class KeypointRows(eqx.Module):
 
 
 def surface_rows(
+    params: TrackerParams,
     source: FrameFeatures,
     target: FrameFeatures,
     T_target_source: jaxlie.SE3,
-    config: gicp.GicpConfig,
     moving: gicp.RowMotion | None = None,
 ) -> SurfaceRows:
     """Rows by the surface.
 
     Args:
+        params: parameters of tracking.
         source: the frame that was registered.
         target: the frame that it was registered to, rectified.
         T_target_source: the motion.
-        config: settings of GICP.
         moving: motion of the source while it was read; None where it stood still or is rectified.
     """
     clouds = source.cloud.levels, target.cloud.levels
-    problem = gicp.level_problem(*clouds, None, 0, config, decimation=_DECIMATION)
+    problem = gicp.level_problem(
+        *clouds, None, 0, params.config.gicp, noise=params.noise.surface, decimation=_DECIMATION
+    )
     problem = problem if moving is None else problem.with_moving_rows(moving)
     pairs, points = problem.correspondences(T_target_source), problem.source.points
     mean = problem.source.normals + pairs.normals
@@ -158,8 +160,8 @@ def keypoint_rows(
         seen,
         pixels.T,
         source.keypoints.depth,
-        sigma=config.pixel_sigma,
-        inverse_depth_sigma=config.inverse_depth_sigma,
+        sigma=params.noise.pixels,
+        inverse_depth_sigma=params.noise.inverse_depth,
     )
     return KeypointRows(points, at, _weights(at, matched, config))
 

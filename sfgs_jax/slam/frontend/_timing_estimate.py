@@ -116,7 +116,7 @@ def _surface_rows(registered: _Registered) -> _Rows:
     """Distances along the normals, of a sample of the finest level."""
     params, source, target, found, moving, twist = registered
     camera, T = source.cloud.levels[0].camera, found.T_target_source
-    rows = surface_rows(source, target, T, params.config.gicp, moving)
+    rows = surface_rows(params, source, target, T, moving)
 
     def by_times(at: Float[Array, "3 N"], pixels: Float[Array, "N 2"], twist: Float[Array, "6"]) -> Array:
         speed = dot(velocities(at, twist), rows.normals)

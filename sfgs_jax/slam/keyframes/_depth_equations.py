@@ -117,7 +117,7 @@ def _surface_rows(
     Then come their weights, and their variance over what is expected.
     """
     T = found.T_target_source
-    rows = surface_rows(source, target, T, params.config.gicp)
+    rows = surface_rows(params, source, target, T)
     weight = rows.expected_weight * _flat(source.cloud.levels[0], len(rows.residual))
 
     # Taken between the two surfaces. At the measured points the derivative would have their noise in it. Then
@@ -164,7 +164,7 @@ def _keypoint_rows(
     depth, known = source.keypoints.depth, source.keypoints.depth > 0
     slopes = depth_slopes(source.keypoints.points.T, source.keypoints.normals.T)
     changes = jnp.concatenate([grid_shares(pixels, camera), slopes / jnp.where(known, depth, 1)[None]])
-    measured = jnp.where(known, 1 / params.config.features.inverse_depth_sigma, 0)
+    measured = jnp.where(known, 1 / params.noise.inverse_depth, 0)
     by_depth = by_depth.at[2].add(measured[None] * changes)
     all_rows = jnp.concatenate([rows.at.pose_jacobian, by_depth, rows.at.residual[:, None]], axis=1)
     return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), rows.weights

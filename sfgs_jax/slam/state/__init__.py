@@ -47,6 +47,7 @@ from sfgs_jax.slam.state._synchrony import empty_synchrony as empty_synchrony
 from sfgs_jax.slam.state._tracker import Suspicion as Suspicion
 from sfgs_jax.slam.state._tracker import Tracker as Tracker
 from sfgs_jax.slam.state._tracker import TrackerParams as TrackerParams
+from sfgs_jax.slam.state._tracker import TrackingNoise as TrackingNoise
 from sfgs_jax.slam.state._tracker import empty_tracker as empty_tracker
 from sfgs_jax.slam.state._tracker import reference_at as reference_at
 from sfgs_jax.slam.state._tracker import with_graph_poses as with_graph_poses

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.arrays import Text, printed_fields
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.gicp import RowMotion
+from sfgs_jax.gicp import DistanceNoise, RowMotion
 from sfgs_jax.sensors import DepthCorrection, SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.state._frame_features import FrameFeatures
@@ -20,6 +20,20 @@ from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._timing_information import TimingInformation
 from sfgs_jax.superfeats.network import Network
+
+
+class TrackingNoise(eqx.Module):
+    """Standard deviations of what a registration measures. Its settings have them at the beginning.
+
+    Attributes:
+        pixels: of a keypoint's place along each axis, pixels.
+        inverse_depth: of depth measured at a keypoint, 1/m.
+        surface: of the distances between two surfaces.
+    """
+
+    pixels: Float[Array, ""]
+    inverse_depth: Float[Array, ""]
+    surface: DistanceNoise
 
 
 class TrackerParams(eqx.Module):
@@ -31,6 +45,7 @@ class TrackerParams(eqx.Module):
         timing: times of the camera's rows, as known before the first frame; used where
             `TrackingConfig.estimate_timing` is on.
         depth_correction: correction of every depth image; None changes nothing.
+        noise: of keypoints and surfaces.
         config: settings; static.
     """
 
@@ -38,6 +53,7 @@ class TrackerParams(eqx.Module):
     network: Network | None
     timing: SensorTiming
     depth_correction: DepthCorrection | None
+    noise: TrackingNoise
     config: TrackingConfig = eqx.field(static=True)
 
 
