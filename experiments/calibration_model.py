@@ -2,8 +2,10 @@
 
 A frame's depth gives planes of inverse depth over the image, one a pixel. A calibration turns them into
 surface in the colour camera at the middle of its exposure. A keypoint has the depth of the surface that its
-ray meets. A pair of frames then has three kinds of residuals. A matched keypoint of one frame appears in the
-other at another pixel, and with another inverse depth. Points of surface have another inverse depth there.
+ray meets. A pair of frames then has four kinds of residuals. A matched keypoint of one frame appears in the
+other at another pixel, and with another inverse depth. Points of surface have another inverse depth there,
+and pixels another brightness. A keypoint does not mark the same point of the scene from near and far;
+brightness has no such error, but it needs a start within a pixel or two.
 
 All of them are differentiable by the calibration and by both poses. Correspondences and robust weights are
 found anew before each step and held fixed in it.
@@ -17,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 from jax.flatten_util import ravel_pytree
+from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.geometry import Camera, kernel_weight, se3
@@ -29,6 +32,9 @@ SURFACE_SIGMA = 0.001
 SURFACE_STRIDE = 4
 REDUNDANCY = (5 / SURFACE_STRIDE) ** 2
 """Neighbouring planes share most of the pixels that they were fitted to."""
+BRIGHTNESS_SIGMA = 0.3
+"""Noise of the images of brightness, whose contrast is 1 everywhere."""
+BRIGHTNESS_STRIDE = 3
 FOCAL_SIGMA, SHIFT_SIGMA, TURN_SIGMA, TIME_SIGMA = 0.05, 0.02, 0.035, 0.02
 OFFSET_SIGMA, OFFSET_STEP_SIGMA = 0.005, 0.0025
 """Priors of a calibration: shares, metres, radians, seconds and 1/m."""
@@ -62,12 +68,14 @@ class View(eqx.Module):
         planes: (H, W, 3) inverse depth of the fitted plane and its slopes along u and v.
         valid: (H, W) whether there is a plane.
         keypoints: (K, 2) pixels.
+        image: (H, W) brightness without its slow changes, with a contrast of 1.
         twist: (6,) motion of the camera per second in its own frame.
     """
 
     planes: Float[Array, "H W 3"]
     valid: Bool[Array, "H W"]
     keypoints: Float[Array, "K 2"]
+    image: Float[Array, "H W"]
     twist: Float[Array, "6"]
 
 
@@ -156,22 +164,22 @@ def _depth_pixels(
     return jnp.round(at).astype(jnp.int32)
 
 
-def _keypoint_depths(
-    sensors: _Sensors, view: View, found: Int[Array, "K 2"]
+def _points_at(
+    sensors: _Sensors, view: View, pixels: Float[Array, "K 2"], found: Int[Array, "K 2"]
 ) -> tuple[Float[Array, "3 K"], Float[Array, " K"], Bool[Array, " K"]]:
-    """Keypoints' points at the times of their rows, those times, and which have surface."""
-    times = _keypoint_times(sensors, view)
+    """Points at pixels of colour at the times of their rows, those times, and which have surface."""
+    times = _colour_times(sensors, view, pixels)
     points, normals, good = _surface(sensors, view, found)
     points, normals = carried(points, view.twist, -times), turned(normals, view.twist, -times)
-    rays = _rays(sensors.camera, view.keypoints)
+    rays = _rays(sensors.camera, pixels)
     along, height = jnp.sum(normals * rays, axis=0), jnp.sum(normals * points, axis=0)
     good &= (along < -0.1) & (height < 0)
     depth = jnp.where(good, height, -1) / jnp.where(good, along, -1)
     return rays * depth[None], times, good
 
 
-def _keypoint_times(sensors: _Sensors, view: View) -> Float[Array, " K"]:
-    return sensors.timing.colour_times(row_places(view.keypoints[:, 1], view.valid.shape[0]))
+def _colour_times(sensors: _Sensors, view: View, pixels: Float[Array, "K 2"]) -> Float[Array, " K"]:
+    return sensors.timing.colour_times(row_places(pixels[:, 1], view.valid.shape[0]))
 
 
 def _behind(
@@ -196,34 +204,51 @@ def _behind(
 
 
 class _Fixed(NamedTuple):
-    """Correspondences of a pair: depth pixels of both views' keypoints, and of the first's surface."""
+    """Correspondences of a pair.
+
+    Attributes:
+        first, second: depth pixels of both views' keypoints.
+        met: depth pixels of the second that the first's surface meets.
+        bright: depth pixels of the first's pixels of brightness.
+        seen: where the second shows these, for the times of their rows.
+    """
 
     first: Int[Array, "K 2"]
     second: Int[Array, "K 2"]
     met: Int[Array, "S 2"]
+    bright: Int[Array, "B 2"]
+    seen: Float[Array, "B 2"]
 
 
-def _grid(view: View) -> Int[Array, "S 2"]:
+def _grid(view: View, stride: int = SURFACE_STRIDE) -> Int[Array, "S 2"]:
     height, width = view.valid.shape
-    steps = jnp.arange(0, width, SURFACE_STRIDE), jnp.arange(0, height, SURFACE_STRIDE)
+    steps = jnp.arange(0, width, stride), jnp.arange(0, height, stride)
     return jnp.stack(jnp.meshgrid(*steps), axis=-1).reshape(-1, 2)
 
 
 def _fixed(sensors: _Sensors, views: tuple[View, View], T: jaxlie.SE3) -> _Fixed:
     first, second = views
-    found = [_depth_pixels(sensors, v, v.keypoints, _keypoint_times(sensors, v)) for v in views]
+    found = [_depth_pixels(sensors, v, v.keypoints, _colour_times(sensors, v, v.keypoints)) for v in views]
     points, _, _ = _surface(sensors, first, _grid(first))
     seen = sensors.camera.project(se3.transform(T, points.T))
-    return _Fixed(found[0], found[1], _depth_pixels(sensors, second, seen, jnp.zeros(len(seen))))
+    met = _depth_pixels(sensors, second, seen, jnp.zeros(len(seen)))
+    pixels = _grid(first, BRIGHTNESS_STRIDE).astype(first.image.dtype)
+    bright = _depth_pixels(sensors, first, pixels, _colour_times(sensors, first, pixels))
+    points, times, _ = _points_at(sensors, first, pixels, bright)
+    moved = se3.transform(T, carried(points, first.twist, times).T)
+    return _Fixed(found[0], found[1], met, bright, sensors.camera.project(moved))
 
 
 def _residuals(
     sensors: _Sensors, views: tuple[View, View], match: Int[Array, " K"], T: jaxlie.SE3, fixed: _Fixed
-) -> tuple[tuple[Float[Array, "3 K"], Float[Array, "1 S"]], tuple[Bool[Array, " K"], Bool[Array, " S"]]]:
-    """Whitened residuals of keypoints and of surface, and which exist; T is the first view in the second."""
+) -> tuple[tuple[Float[Array, "c n"], ...], tuple[Bool[Array, " n"], ...]]:
+    """Whitened residuals of keypoints, surface and brightness, and which exist.
+
+    T is the first view in the second.
+    """
     first, second = views
-    points, times, good = _keypoint_depths(sensors, first, fixed.first)
-    there, there_times, there_good = _keypoint_depths(sensors, second, fixed.second)
+    points, times, good = _points_at(sensors, first, first.keypoints, fixed.first)
+    there, there_times, there_good = _points_at(sensors, second, second.keypoints, fixed.second)
     index = jnp.maximum(match, 0)
     moved = se3.transform(T, carried(points, first.twist, times).T).T
     moved = carried(moved, second.twist, -there_times[index])
@@ -239,7 +264,26 @@ def _residuals(
     deeper, there = _behind(sensors, second, moved, fixed.met)
     good &= there
     surface = jnp.where(good, deeper / SURFACE_SIGMA, 0)[None]
-    return (keypoints, surface), (jnp.sum(jnp.abs(keypoints), axis=0) > 0, good)
+    brightness, bright = _brightness(sensors, views, T, fixed)
+    seen = jnp.sum(jnp.abs(keypoints), axis=0) > 0
+    return (keypoints, surface, brightness), (seen, good, bright)
+
+
+def _brightness(
+    sensors: _Sensors, views: tuple[View, View], T: jaxlie.SE3, fixed: _Fixed
+) -> tuple[Float[Array, "1 B"], Bool[Array, " B"]]:
+    """Whitened changes of brightness from the first view to the second, and which pixels have one."""
+    first, second = views
+    height, width = first.image.shape
+    pixels = _grid(first, BRIGHTNESS_STRIDE)
+    points, times, good = _points_at(sensors, first, pixels.astype(first.image.dtype), fixed.bright)
+    moved = se3.transform(T, carried(points, first.twist, times).T).T
+    moved = carried(moved, second.twist, -_colour_times(sensors, second, fixed.seen))
+    good &= moved[2] > 0.1
+    u, v = sensors.camera.project(jnp.where(good[None], moved, jnp.asarray([[0.0], [0.0], [1.0]])).T).T
+    good &= (u > 2) & (u < width - 3) & (v > 2) & (v < height - 3)
+    change = map_coordinates(second.image, [v, u], order=1) - first.image[pixels[:, 1], pixels[:, 0]]
+    return jnp.where(good, change / BRIGHTNESS_SIGMA, 0)[None], good
 
 
 def _pair_equations(
@@ -249,7 +293,8 @@ def _pair_equations(
     views: tuple[View, View],
     match: Int[Array, " K"],
     width: Float[Array, ""],
-) -> tuple[Float[Array, "n n"], Float[Array, " n"], Float[Array, "3"]]:
+    bright: Float[Array, ""],
+) -> tuple[Float[Array, "n n"], Float[Array, " n"], Float[Array, "4"]]:
     """Hessian and gradient by calibration and both poses; the robust mean square of each kind of residual."""
     flat, unravel = ravel_pytree(calibration)
 
@@ -260,7 +305,7 @@ def _pair_equations(
     here = _sensors(camera, calibration)
     fixed = jax.lax.stop_gradient(_fixed(here, views, relative(jnp.zeros((2, 6)))))
 
-    def residuals(x: Float[Array, " n"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    def residuals(x: Float[Array, " n"]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
         sensors = _sensors(camera, unravel(x[:-12]))
         return _residuals(sensors, views, match, relative(x[-12:].reshape(2, 6)), fixed)
 
@@ -268,7 +313,8 @@ def _pair_equations(
     values, existing = residuals(x)
     jacobians = jax.jacfwd(lambda x: residuals(x)[0])(x)
     hessian, gradient, squares = jnp.zeros((len(x), len(x))), jnp.zeros(len(x)), []
-    for value, there, jacobian, share in zip(values, existing, jacobians, (1, 1 / REDUNDANCY), strict=True):
+    shares = 1, 1 / REDUNDANCY, bright
+    for value, there, jacobian, share in zip(values, existing, jacobians, shares, strict=True):
         square = jnp.sum(value**2, axis=0)
         weight = jnp.where(there, kernel_weight(square, "geman_mcclure", width), 0)
         rows = jacobian.reshape(-1, len(x))
@@ -302,7 +348,7 @@ class Step(NamedTuple):
     calibration: Calibration
     poses: Float[Array, "n 7"]
     covariance: Float[Array, "p p"]
-    squares: Float[Array, "3"]
+    squares: Float[Array, "4"]
 
 
 @partial(jax.jit, static_argnames="poses_only")
@@ -314,6 +360,7 @@ def step(
     views: View,
     pairs: Pair,
     width: Float[Array, ""],
+    bright: Float[Array, ""],
     *,
     poses_only: bool = False,
 ) -> Step:
@@ -327,6 +374,7 @@ def step(
         views: stacked.
         pairs: stacked.
         width: of the robust kernel, standard deviations.
+        bright: weight of the changes of brightness.
         poses_only: whether the calibration is held as well.
     """
     flat, unravel = ravel_pytree(calibration)
@@ -334,7 +382,7 @@ def step(
 
     def one(pair: Pair) -> tuple[Array, Array, Array]:
         ends = poses[jnp.stack([pair.first, pair.second])]
-        return _pair_equations(camera, calibration, ends, _views_of(views, pair), pair.match, width)
+        return _pair_equations(camera, calibration, ends, _views_of(views, pair), pair.match, width, bright)
 
     hessians, gradients, squares = jax.lax.map(one, pairs)
     ends = jnp.stack([pairs.first, pairs.second], axis=1)
@@ -384,11 +432,14 @@ def registered(
         width: of the robust kernel, standard deviations.
     """
 
+    dark = jnp.zeros(())
+
     def one(pair: Pair) -> Float[Array, "7"]:
         both = _views_of(views, pair)
 
         def moved(_: Int[Array, ""], ends: Float[Array, "2 7"]) -> Float[Array, "2 7"]:
-            hessian, gradient, _ = _pair_equations(camera, calibration, ends, both, pair.match, width)
+            equations = _pair_equations(camera, calibration, ends, both, pair.match, width, dark)
+            hessian, gradient, _ = equations
             block, slope = hessian[-12:-6, -12:-6], gradient[-12:-6]
             delta = -jnp.linalg.solve(block + 1e-3 * jnp.eye(6), slope)
             first = se3.compose(jaxlie.SE3(ends[0]), se3.exp(jnp.clip(delta, -0.1, 0.1)))
