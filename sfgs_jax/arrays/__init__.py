@@ -22,7 +22,12 @@ from sfgs_jax.arrays._eigenpair import smallest_eigenpair as smallest_eigenpair
 from sfgs_jax.arrays._errors import FrameError as FrameError
 from sfgs_jax.arrays._errors import InputError as InputError
 from sfgs_jax.arrays._excerpts import excerpt as excerpt
+from sfgs_jax.arrays._excerpts import printable as printable
 from sfgs_jax.arrays._heap import return_free_memory as return_free_memory
+from sfgs_jax.arrays._input_files import file_bytes as file_bytes
+from sfgs_jax.arrays._input_files import file_text as file_text
+from sfgs_jax.arrays._input_files import require_file as require_file
+from sfgs_jax.arrays._json_text import parsed_json as parsed_json
 from sfgs_jax.arrays._prefix_sums import prefix_sums as prefix_sums
 from sfgs_jax.arrays._printing import Text as Text
 from sfgs_jax.arrays._printing import is_known as is_known

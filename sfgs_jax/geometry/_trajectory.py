@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, file_text
 from sfgs_jax.geometry._rotations import quaternions_from_rotations, rotations_from_quaternions
 
 # Seconds and metres; a larger number is damage.
@@ -83,9 +83,8 @@ def parse_tum(text: str, name: str) -> Trajectory:
 
 def read_tum(path: Path | str) -> Trajectory:
     """Read a trajectory in TUM format. Raises InputError as `parse_tum` does, or if there is no such file."""
-    path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = file_text(path)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read the trajectory {path}: {excerpt(error)}.") from error
     return parse_tum(text, str(path))

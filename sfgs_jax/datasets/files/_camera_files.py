@@ -1,13 +1,12 @@
 """camera.json: the intrinsics that users write for their own recordings."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, parsed_json, printable
 from sfgs_jax.datasets.files._pose_files import read_text
 from sfgs_jax.geometry import Camera
 from sfgs_jax.sensors import Undistortion
@@ -151,8 +150,8 @@ def read_camera_json(path: Path) -> Intrinsics:
         InputError: the file can't be read, isn't JSON, or lacks a number.
     """
     try:
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
+        content = parsed_json(read_text(path))
+    except ValueError as error:
         raise InputError(
             f"{path} is not valid JSON ({excerpt(error)}); it should look like {CAMERA_EXAMPLE}."
         ) from error
@@ -171,7 +170,8 @@ def read_camera_json(path: Path) -> Intrinsics:
         values[key] = float(value)
     distortion = _distortion(content.get("distortion", []), path)
     unknown = sorted(set(content) - {*_NUMBERS, "distortion"})
-    notes = (f"{path} has entries that are not used: {', '.join(unknown)[:100]}.",) if unknown else ()
+    listed = printable(", ".join(unknown)[:100])
+    notes = (f"{path} has entries that are not used: {listed}.",) if unknown else ()
     width, height = (int(values[key]) if key in values else None for key in ("width", "height"))
     return Intrinsics(
         fx=values["fx"],

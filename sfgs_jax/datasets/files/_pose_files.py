@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, file_text
 from sfgs_jax.geometry import Trajectory, parse_tum, rotations_from_quaternions
 
 # Files keep few digits, so the singular values of a rotation are off by some 1e-3.
@@ -21,7 +21,7 @@ _LEAST_QUATERNION = 1e-6
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8. Raises InputError if it can't be read."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return file_text(path)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path}: {excerpt(error)}.") from error
 

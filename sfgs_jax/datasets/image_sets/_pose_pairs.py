@@ -1,12 +1,11 @@
 """Calibrated pairs for relative pose: MegaDepth-1500, ScanNet-1500, and any list in their formats."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, described, excerpt
+from sfgs_jax.arrays import InputError, described, excerpt, parsed_json
 from sfgs_jax.datasets.files import listed_file, read_matrix_file, read_numbers, read_text
 from sfgs_jax.datasets.image_sets._image_pairs import PosePair
 
@@ -110,7 +109,7 @@ def _parse(path: Path, number: int, words: list[str], root: Path) -> PosePair:
 
 def _read_json(path: Path, root: Path) -> list[PosePair]:
     try:
-        entries = json.loads(read_text(path))
+        entries = parsed_json(read_text(path))
         pairs = [
             _pair(
                 f"{path}, entry {i}",
@@ -120,7 +119,7 @@ def _read_json(path: Path, root: Path) -> list[PosePair]:
             )
             for i, entry in enumerate(entries)
         ]
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{path} should be a list of objects with pair_names, K0, K1 and T_0to1: {excerpt(error)}."
         ) from error

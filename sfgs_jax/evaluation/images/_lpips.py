@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, require_file
 
 _FILE = "weights/lpips_squeeze_v0.1.npz"
 
@@ -94,9 +94,10 @@ def load_lpips(path: Path | str | None = None) -> LpipsWeights:
     """
     path = default_lpips_path() if path is None else Path(path)
     try:
+        require_file(path)
         with np.load(path) as file:
             return _weights(dict(file))
-    except (OSError, ValueError, KeyError) as error:
+    except Exception as error:  # NumPy's reader raises whatever a broken archive trips
         raise InputError(f"Cannot read the LPIPS weights {path}: {excerpt(error)}.") from error
 
 

@@ -38,4 +38,4 @@ def contents_of(path: Path | str) -> Contents:
     if not end or not {b"x", b"y", b"z"} <= names or names & {b"f_dc_0", b"opacity", b"scale_0", b"rot_0"}:
         return "splats"
     faces = re.search(rb"^element +face +(\d+)", head, re.MULTILINE)
-    return "mesh" if faces and int(faces[1]) else "points"
+    return "mesh" if faces and faces[1].strip(b"0") else "points"

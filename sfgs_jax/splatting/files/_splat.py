@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit, log_expit
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, file_bytes, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh, sh_to_rgb
 from sfgs_jax.splatting.files._loaded import loaded, logits_of_bytes
@@ -52,8 +52,8 @@ def load_splat(path: Path | str) -> Gaussians:
     """
     path = Path(path)
     try:
-        content = path.read_bytes()
-    except OSError as error:
+        content = file_bytes(path)
+    except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path} as a .splat file: {excerpt(error)}.") from error
     if not content or len(content) % _RECORD.itemsize:
         raise InputError(

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, file_bytes, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting.files._axes import half_turned
 from sfgs_jax.splatting.files._loaded import loaded
@@ -48,7 +48,7 @@ def load_spz(path: Path | str) -> Gaussians:
     """
     path = Path(path)
     try:
-        header, streams = unpacked(path.read_bytes())
+        header, streams = unpacked(file_bytes(path))
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path} as an SPZ file: {excerpt(error)}.") from error
     values = half_turned(values_of(streams, header.num_gaussians, header.coefficients, header.bits))

@@ -8,7 +8,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, file_bytes, write_atomically
 from sfgs_jax.superfeats.network._layers import fold
 from sfgs_jax.superfeats.network._network import Network, NetworkConfig, initialise_network
 
@@ -44,7 +44,7 @@ def load_weights(path: Path | str | None = None, *, config: NetworkConfig | None
     shipped = files("sfgs_jax.superfeats.network") / "superfeats.safetensors"
     source = Path(path) if path is not None else shipped
     try:
-        found = load(source.read_bytes())
+        found = load(file_bytes(str(source)))
     except FileNotFoundError:
         raise InputError(f"There is no {source}.") from None
     except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
