@@ -12,8 +12,8 @@ from experiments.fuzz_formats import formats
 from sfgs_jax import gicp, splatting
 from sfgs_jax.arrays import FrameError, InputError, excerpt, file_bytes, file_text, parsed_json
 from sfgs_jax.cli import read_config
-from sfgs_jax.datasets import ReaderOptions, open_recording
-from sfgs_jax.datasets.files import decode_colour, decode_depth
+from sfgs_jax.datasets import ReaderOptions, open_recording, read_pair_list
+from sfgs_jax.datasets.files import decode_colour, decode_depth, rigid_poses
 
 FORMATS = formats()
 INPUTS = 8
@@ -208,6 +208,25 @@ def test_messages_can_be_shown_by_any_terminal():
     text = str(InputError("\x1b[31m a\n b \udcff \u202e é " + "x" * 10_000))
     assert text.startswith(r"\x1b[31m a\n b \udcff \u202e é xxx")
     assert len(text) == 5000
+
+
+def test_a_matrix_that_is_no_rigid_motion_is_no_pose():
+    good = np.eye(4)
+    wrong = np.stack([np.diag([1.0, 1, -1, 1]), 2 * good, good, good, good])
+    wrong[2, 3], wrong[3, 3, 0], wrong[4, 0, 3] = 0, 5, 1e30
+    poses = rigid_poses(np.concatenate([good[None], wrong]))
+    np.testing.assert_array_equal(poses[0], good)
+    assert np.isnan(poses[1:]).all()
+
+
+def test_pairs_of_mirrored_images_are_refused(tmp_path):
+    kind = FORMATS["pair list"]
+    for path, content in kind.files.items():
+        (tmp_path / path).write_bytes(content)
+    mirrored = kind.files["pairs.txt"].replace(b"1 0 0 0.5 0 1 0 0", b"-1 0 0 0.5 0 1 0 0")
+    (tmp_path / "pairs.txt").write_bytes(mirrored)
+    with pytest.raises(InputError, match="should be a rotation"):
+        read_pair_list(tmp_path / "pairs.txt")
 
 
 def test_quotes_are_short():

@@ -6,12 +6,16 @@ Each file holds one idiom and the reason for it.
 from sfgs_jax.arrays._arguments import described as described
 from sfgs_jax.arrays._arguments import is_array as is_array
 from sfgs_jax.arrays._arguments import is_floating as is_floating
+from sfgs_jax.arrays._arguments import require_above_zero as require_above_zero
+from sfgs_jax.arrays._arguments import require_least as require_least
 from sfgs_jax.arrays._atomic_files import make_folder as make_folder
 from sfgs_jax.arrays._atomic_files import put_in_place as put_in_place
 from sfgs_jax.arrays._atomic_files import remove_unfinished as remove_unfinished
 from sfgs_jax.arrays._atomic_files import sync_folder as sync_folder
 from sfgs_jax.arrays._atomic_files import write_atomically as write_atomically
 from sfgs_jax.arrays._blockwise_vjp import map_used_rows as map_used_rows
+from sfgs_jax.arrays._boundary import checked as checked
+from sfgs_jax.arrays._boundary import checked_but as checked_but
 from sfgs_jax.arrays._capacities import bucket as bucket
 from sfgs_jax.arrays._capacities import doubled as doubled
 from sfgs_jax.arrays._capacities import padded as padded

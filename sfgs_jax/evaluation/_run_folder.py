@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import InputError, excerpt, file_text, parsed_json
+from sfgs_jax.arrays import InputError, checked, excerpt, file_text, parsed_json
 from sfgs_jax.datasets import Recording, associate
 from sfgs_jax.geometry import Trajectory, read_tum, se3
 from sfgs_jax.sensors import (
@@ -77,6 +77,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
+@checked
 def posed_frames(run_dir: Path, recording: Recording) -> PosedFrames:
     """Match the run's trajectory and keyframes with the recording's frames, by time stamp.
 

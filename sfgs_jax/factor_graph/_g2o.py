@@ -9,7 +9,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sfgs_jax.arrays import InputError, excerpt, file_bytes, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, file_bytes, write_atomically
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.factors._pose_factors import RelativePose
 from sfgs_jax.factor_graph.start._spanning_tree import spanning_tree_start
@@ -39,6 +39,7 @@ class PoseGraph:
     """(P,) poses named by FIX; none if the file names none."""
 
 
+@checked
 def read_g2o(path: Path | str) -> PoseGraph:
     """Read a graph of `VERTEX_SE3:QUAT`, `EDGE_SE3:QUAT` and `FIX` lines; `PARAMS_` lines are skipped.
 
@@ -77,6 +78,7 @@ def read_g2o(path: Path | str) -> PoseGraph:
     return PoseGraph(values, measured, vertices, np.isin(vertices, list(lines.fixed)))
 
 
+@checked
 def write_g2o(path: Path | str, graph: PoseGraph) -> None:
     """Write a graph that `read_g2o` reads back; masked edges are left out.
 

@@ -4,11 +4,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry._rotations import quaternions_from_rotations, rotations_from_quaternions
 from sfgs_jax.geometry._trajectory import Trajectory
 
 
+@checked
 def smoothed(trajectory: Trajectory, sigma: float) -> Trajectory:
     """A trajectory without the shake of the hand: positions and quaternions under a Gaussian filter.
 
@@ -33,6 +34,7 @@ def smoothed(trajectory: Trajectory, sigma: float) -> Trajectory:
     return Trajectory(trajectory.timestamps, poses)
 
 
+@checked
 def orbit(
     target: Float[np.ndarray, "3"],
     up: Float[np.ndarray, "3"],

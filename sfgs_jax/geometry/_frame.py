@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from sfgs_jax.arrays import InputError, described, is_array, is_known
+from sfgs_jax.arrays import InputError, checked, described, is_array, is_known
 from sfgs_jax.geometry._image_checks import require_colour, require_depth
 
 
@@ -75,6 +75,7 @@ class Frame(eqx.Module):
         return np.ones(self.depth.shape, bool) if self.valid is None else self.valid
 
 
+@checked
 def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
     """Depth with everything not finite or not positive set to 0, and the mask of what is left."""
     valid = jnp.isfinite(depth) & (depth > 0)

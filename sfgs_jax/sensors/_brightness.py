@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Camera
 
 _BLOCK = 16
@@ -14,6 +15,7 @@ _LARGEST_CHANGE = 1.0
 """Largest change of a logarithm that is believed: more is a flash, or a covered lens."""
 
 
+@checked
 def block_means(rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w 3"]:
     """Mean colours of blocks of 16 x 16 pixels; what is left over at the right and at the bottom is cut off.
 
@@ -25,6 +27,7 @@ def block_means(rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w 3"]:
     return cv2.resize(np.asarray(whole, np.float32), (w, h), interpolation=cv2.INTER_AREA)
 
 
+@checked
 def brightness_change(
     before: Float[np.ndarray, "h w 3"],
     now: Float[np.ndarray, "h w 3"],

@@ -5,7 +5,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.arrays import InputError, excerpt, file_text, parsed_json
+from sfgs_jax.arrays import InputError, checked, excerpt, file_text, parsed_json
 from sfgs_jax.sensors._depth_correction import DEPTH_GRID, DepthCorrection
 from sfgs_jax.sensors._model import SensorModel
 from sfgs_jax.sensors._timing import SensorTiming
@@ -22,6 +22,7 @@ _LARGEST = 10.0
 _LARGEST_EXTRINSIC = 0.2
 
 
+@checked
 def read_sensors(path: Path) -> SensorModel:
     """The model of a camera that an earlier run has written.
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sfgs_jax.arrays import checked_but
 from sfgs_jax.geometry import Frame, se3, warn_unless_metres
 from sfgs_jax.slam._found_frame import find_pose
 from sfgs_jax.slam._frame_brightness import look_of
@@ -43,6 +44,7 @@ class Followed(NamedTuple):
     view: View | None
 
 
+@checked_but("frame")
 def step(
     state: SlamState, frame: Frame, *, number: int | None = None, stages: Stages = untimed
 ) -> tuple[SlamState, StepInfo]:
@@ -75,6 +77,7 @@ def step(
     return replace(state, mapping=mapping), info._replace(loss=loss)
 
 
+@checked_but("frame")
 def follow(
     state: SlamState, frame: Frame, *, number: int | None = None, stages: Stages = untimed
 ) -> Followed:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from sfgs_jax.arrays import FrameError, InputError, excerpt, parsed_json
+from sfgs_jax.arrays import FrameError, InputError, excerpt, file_bytes, parsed_json
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     FilePair,
@@ -53,7 +53,7 @@ _DAMAGE = (
     RuntimeError,
     EOFError,
     struct.error,
-    UnicodeError,
+    ValueError,
 )
 
 
@@ -113,15 +113,12 @@ class _Members:
     def read(self, name: str, largest: int = _LARGEST_MEMBER) -> bytes:
         """Content of a file of at most `largest` bytes. Raises FrameError if it can't be read."""
         try:
-            if self._archive is not None:
-                size = self._archive.getinfo(name).file_size
-            else:
-                size = (self.source / name).stat().st_size
+            if self._archive is None:
+                return file_bytes(self.source / name, largest)
+            size = self._archive.getinfo(name).file_size
             if size > largest:
-                raise FrameError(f"{self.text(name)} has {size} bytes, more than it can need.")
-            return (
-                self._archive.read(name) if self._archive is not None else (self.source / name).read_bytes()
-            )
+                raise ValueError(f"it has {size} bytes, more than it can need")
+            return self._archive.read(name)
         except KeyError as error:
             raise FrameError(f"{self.text(name)} is missing.") from error
         except _DAMAGE as error:

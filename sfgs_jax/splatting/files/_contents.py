@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from typing import Literal
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.splatting.files._glb_container import unpacked_glb
 from sfgs_jax.splatting.files._gltf_reader import splat_primitives
 
@@ -12,6 +13,7 @@ Contents = Literal["splats", "points", "mesh"]
 _LONGEST_HEADER = 65536
 
 
+@checked
 def contents_of(path: Path | str) -> Contents:
     """What a file holds, by its head. Files that can't be told are left to the reader of splats.
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from plyfile import PlyData, PlyElement
 
-from sfgs_jax.arrays import InputError, excerpt, require_file, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, require_file, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting.files._loaded import loaded
 
@@ -16,6 +16,7 @@ _LONGEST_HEADER = 65536
 """Bytes. A header names some 60 properties."""
 
 
+@checked
 def save_ply(path: Path | str, gaussians: Gaussians) -> None:
     """Write the valid Gaussians as a binary PLY file, little-endian, float32.
 
@@ -64,6 +65,7 @@ def write_vertices(path: Path | str, rows: np.ndarray) -> None:
     write_atomically(path, buffer.getvalue())
 
 
+@checked
 def load_ply(path: Path | str) -> Gaussians:
     """Read a PLY file of 3D Gaussian Splatting; every Gaussian in it is valid.
 
