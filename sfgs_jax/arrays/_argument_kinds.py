@@ -116,8 +116,8 @@ def _protocol(hint: type) -> Kind | None:
 def _array(dims: str, dtypes: Any) -> Kind | None:
     """An array of the kind of numbers and the shape of an annotation of jaxtyping."""
     words = [dtypes] if isinstance(dtypes, str) else list(dtypes) if isinstance(dtypes, tuple | list) else []
-    letters = {_letter(word) for word in words}
-    if None in letters:
+    letters = {letter for word in words if (letter := _letter(word)) is not None}
+    if any(_letter(word) is None for word in words):
         return None
     shape = dims.split()
     names = tuple(word for word in shape if word.isidentifier() and not word.startswith("_"))

@@ -1,6 +1,5 @@
 """Checks of array arguments: each error says what the argument should be, and what it is."""
 
-from numbers import Real
 from typing import Any, TypeGuard
 
 import jax
@@ -31,7 +30,7 @@ def require_least(value: Any, least: int, name: str) -> None:
     Raises:
         InputError: it is smaller.
     """
-    if isinstance(value, Real) and not value >= least:
+    if isinstance(value, int | float | np.number) and not value >= least:
         raise InputError(f"{name} should be at least {least}, not {value}.")
 
 
@@ -45,7 +44,7 @@ def require_above_zero(value: Any, name: str) -> None:
     Raises:
         InputError: it is 0 or below.
     """
-    if isinstance(value, Real) and not value > 0:
+    if isinstance(value, int | float | np.number) and not value > 0:
         raise InputError(f"{name} should be above 0, not {value}.")
 
 

@@ -16,6 +16,7 @@ from sfgs_jax.geometry._held_out import is_held_out as is_held_out
 from sfgs_jax.geometry._image_checks import require_colour as require_colour
 from sfgs_jax.geometry._image_checks import require_depth as require_depth
 from sfgs_jax.geometry._image_checks import warn_unless_metres as warn_unless_metres
+from sfgs_jax.geometry._image_checks import warn_unless_unit_colours as warn_unless_unit_colours
 from sfgs_jax.geometry._reprojection import NEAREST_DEPTH as NEAREST_DEPTH
 from sfgs_jax.geometry._reprojection import ReprojectionResiduals as ReprojectionResiduals
 from sfgs_jax.geometry._reprojection import reprojection_residuals as reprojection_residuals

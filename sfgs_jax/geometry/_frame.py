@@ -12,6 +12,9 @@ from jaxtyping import Array, Bool, Float, Shaped
 from sfgs_jax.arrays import InputError, checked, described, is_array, is_known
 from sfgs_jax.geometry._image_checks import require_colour, require_depth
 
+_NEAREST, _FARTHEST = 1e-6, 1e6
+"""Metres, of depth that can be one."""
+
 
 class Frame(eqx.Module):
     """Colour image with a depth image registered to it.
@@ -77,8 +80,11 @@ class Frame(eqx.Module):
 
 @checked
 def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """Depth with everything not finite or not positive set to 0, and the mask of what is left."""
-    valid = jnp.isfinite(depth) & (depth > 0)
+    """Depth with everything not finite or not positive set to 0, and the mask of what is left.
+
+    So is depth below a micrometre or beyond 1000 km, where single precision ends in zeros and infinities.
+    """
+    valid = (depth > _NEAREST) & (depth < _FARTHEST)
     return jnp.where(valid, depth, 0), valid
 
 

@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -78,12 +78,15 @@ def test_an_argument_is_refused_by_name(arguments, message):
 
 def test_what_fits_is_passed_on():
     assert shifted(POINTS, STEPS) is POINTS
-    shifted(
-        jnp.asarray(POINTS), STEPS[0], np.ones(5, bool), width=3, count=np.int64(2), kind="b", path=Path("y")
-    )
-    shifted(POINTS, STEPS, width=jnp.ones(()), pairs=[3, 4], T_a_b=np.eye(4))
+    good: list[dict[str, Any]] = [
+        {"used": np.ones(5, bool), "width": 3, "count": np.int64(2), "kind": "b", "path": Path("y")},
+        {"width": jnp.ones(()), "pairs": [3, 4], "T_a_b": np.eye(4)},
+    ]
+    for arguments in good:
+        shifted(jnp.asarray(POINTS), STEPS[0], **arguments)
+    missing: dict[str, Any] = {"steps": STEPS}
     with pytest.raises(TypeError, match="points"):
-        shifted(steps=STEPS)
+        shifted(**missing)
 
 
 def test_compiled_programs_are_the_same():
@@ -101,9 +104,10 @@ def test_others_are_left_to_the_function():
     def function(x: Int[Array, " n"], y: int) -> int:
         return y
 
-    assert function("anything", 2) == 2
+    anything: Any = "anything"
+    assert function(anything, 2) == 2
     with pytest.raises(InputError, match="y of function"):
-        function("anything", "2")
+        function(anything, anything)
 
 
 def test_checks_take_microseconds():
