@@ -79,12 +79,18 @@ class Frame(eqx.Module):
 
 
 @checked
-def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """Depth with everything not finite or not positive set to 0, and the mask of what is left.
+def has_depth(depth: Float[Array | np.ndarray, "*n"]) -> Bool[Array | np.ndarray, "*n"]:
+    """Pixels whose depth in metres is one: not missing, and within what single precision can square.
 
-    So is depth below a micrometre or beyond 1000 km, where single precision ends in zeros and infinities.
+    Depth below a micrometre or beyond 1000 km counts as missing.
     """
-    valid = (depth > _NEAREST) & (depth < _FARTHEST)
+    return (depth > _NEAREST) & (depth < _FARTHEST)
+
+
+@checked
+def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
+    """Depth with everything set to 0 that is none by `has_depth`, and the mask of what is left."""
+    valid = has_depth(depth)
     return jnp.where(valid, depth, 0), valid
 
 

@@ -5,14 +5,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from sfgs_jax.arrays import checked
-from sfgs_jax.geometry import Camera
+from sfgs_jax.geometry import Camera, has_depth
 
 _BLOCK = 16
 """Side of the blocks of pixels that are compared by their means, pixels."""
 _LEAST_BLOCKS = 20
 """Blocks that have to be seen in both images for their change to mean anything."""
-_FARTHEST = 1e6
-"""Metres, beyond which there is no depth."""
 _LARGEST_CHANGE = 1.0
 """Largest change of a logarithm that is believed: more is a flash, or a covered lens."""
 
@@ -58,7 +56,7 @@ def brightness_change(
         return none
     fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
     v, u = np.mgrid[half : h * _BLOCK : _BLOCK, half : w * _BLOCK : _BLOCK]
-    known = seen & (z > 0) & (z < _FARTHEST)
+    known = seen & has_depth(z)
     z = np.where(known, z, 1.0)
     points = np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=-1)
     there = points @ T_before_now[:3, :3].T + T_before_now[:3, 3]
