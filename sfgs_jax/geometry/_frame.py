@@ -90,7 +90,7 @@ def has_depth(depth: Float[Array | np.ndarray, "*n"]) -> Bool[Array | np.ndarray
 @checked
 def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
     """Depth with everything set to 0 that is none by `has_depth`, and the mask of what is left."""
-    valid = has_depth(depth)
+    valid = jnp.asarray(has_depth(depth))
     return jnp.where(valid, depth, 0), valid
 
 

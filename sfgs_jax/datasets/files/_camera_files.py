@@ -167,6 +167,8 @@ def read_camera_json(path: Path) -> Intrinsics:
         value = content[key]
         if isinstance(value, bool) or not isinstance(value, int | float) or not 1e-6 < value < 1e9:
             raise InputError(f"{path}: {key} must be a positive number, not {excerpt(value)}.")
+        if key in ("width", "height") and value != int(value):
+            raise InputError(f"{path}: {key} must be a whole number of pixels, not {excerpt(value)}.")
         values[key] = float(value)
     distortion = _distortion(content.get("distortion", []), path)
     unknown = sorted(set(content) - {*_NUMBERS, "distortion"})
@@ -189,7 +191,9 @@ def read_camera_json(path: Path) -> Intrinsics:
 
 def _distortion(value: object, path: Path) -> tuple[float, ...]:
     coefficients = value if isinstance(value, list) else [value]
-    numbers = [x for x in coefficients if isinstance(x, int | float) and -1e6 < x < 1e6]
+    numbers = [
+        x for x in coefficients if isinstance(x, int | float) and not isinstance(x, bool) and -1e6 < x < 1e6
+    ]
     if value != [] and (len(numbers) != len(coefficients) or len(numbers) not in _DISTORTION_COUNTS):
         raise InputError(
             f"{path}: distortion must be a list of 4, 5 or 8 numbers (k1, k2, p1, p2, ...), "
