@@ -10,10 +10,10 @@ import pytest
 from experiments.fuzz import fuzzed, outcome
 from experiments.fuzz_formats import formats
 from sfgs_jax import gicp, splatting
-from sfgs_jax.arrays import FrameError, InputError, excerpt
+from sfgs_jax.arrays import FrameError, InputError, excerpt, file_bytes, file_text, parsed_json
 from sfgs_jax.cli import read_config
-from sfgs_jax.datasets import ReaderOptions, open_recording
-from sfgs_jax.datasets.files import decode_colour, decode_depth
+from sfgs_jax.datasets import ReaderOptions, open_recording, read_pair_list
+from sfgs_jax.datasets.files import decode_colour, decode_depth, rigid_poses
 
 FORMATS = formats()
 INPUTS = 8
@@ -79,7 +79,7 @@ def test_no_room_is_made_for_what_a_header_promises(tmp_path):
             decode_depth(tmp_path / "depth.npy", None)
     with (tmp_path / "sparse.png").open("wb") as file:
         file.truncate(1 << 40)
-    with pytest.raises(FrameError, match="more than an image can need"):
+    with pytest.raises(FrameError, match="more than it can need"):
         decode_colour(tmp_path / "sparse.png")
 
 
@@ -89,6 +89,9 @@ def test_no_room_is_made_for_what_a_header_promises(tmp_path):
         '{"fx": null, "fy": 20, "cx": 11, "cy": 7}',
         '{"fx": -20, "fy": 20, "cx": 11, "cy": 7}',
         '{"fx": 1e999, "fy": 20, "cx": 11, "cy": 7}',
+        '{"fx": 20, "fx": 30, "fy": 20, "cx": 11, "cy": 7}',
+        '{"fx": 20, "fy": 20, "cx": 11, "cy": 7, "width": 24.5}',
+        '{"fx": 20, "fy": 20, "cx": 11, "cy": 7, "distortion": [true, true, true, true]}',
         '{"fx": NaN, "fy": 20, "cx": 11, "cy": 7}',
         '{"fx": 20, "fy": 20, "cx": 11, "cy": 7, "depth_scale": 1e-320}',
         '{"fx": %s, "fy": 20, "cx": 11, "cy": 7}' % ("9" * 5000),
@@ -148,6 +151,85 @@ def test_points_and_maps_with_impossible_numbers_are_refused(tmp_path):
     (tmp_path / "map.ply").write_bytes(content[:-8] + np.float32(1e30).tobytes() + content[-4:])
     with pytest.raises(InputError, match="quaternions hold values beyond"):
         splatting.load_ply(tmp_path / "map.ply")
+
+
+SINGLE = [name for name, kind in FORMATS.items() if len(kind.files) == 1 and name != "SPZ, within gzip"]
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path, name):
+    kind = FORMATS[name]
+    path = tmp_path / kind.targets[0]
+    path.parent.mkdir(exist_ok=True)
+    os.mkfifo(path)
+    assert outcome(kind, tmp_path)[0] == "refused"
+    for other in ("/dev/zero", path.name, "nowhere", tmp_path):
+        path.unlink()
+        path.symlink_to(other)
+        found, message = outcome(kind, tmp_path)
+        # A run without a table of its frames has none.
+        assert found == ("ok" if name == "frames.csv" and other in (path.name, "nowhere") else "refused")
+        assert str(tmp_path) in message or found == "ok"
+
+
+def test_files_are_read_up_to_a_size(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_bytes(b"\xef\xbb\xbfa\r\nb\rc")
+    assert file_text(path) == "a\nb\nc"
+    assert file_bytes(path, 9) == path.read_bytes()
+    with pytest.raises(ValueError, match="9 bytes, more than it can need"):
+        file_bytes(path, 8)
+    with path.open("ab") as file:
+        file.truncate(1 << 40)
+    for read in (file_text, file_bytes):
+        with pytest.raises(ValueError, match="more than it can need"):
+            read(path)
+    # The kernel's log says that it is an empty file, and never ends.
+    assert file_bytes("/proc/version") == b""
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a": 1, "a": 2}', '{"a": ' + "9" * 5000 + "}", '{"a"'])
+def test_json_that_means_nothing_is_refused(text):
+    with pytest.raises(ValueError, match=r"too many levels|two entries 'a'|limit|delimiter"):
+        parsed_json(text)
+
+
+def test_entries_that_name_no_file_are_refused(tmp_path):
+    kind = FORMATS["nerfstudio"]
+    for path, content in kind.files.items():
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_bytes(content)
+    content = json.loads(kind.files["transforms.json"])
+    for name in ("\ud800.png", "9" * 5000 + ".png", "a\0.png"):
+        content["frames"][1]["file_path"] = name
+        (tmp_path / "transforms.json").write_text(json.dumps(content))
+        with pytest.raises(InputError, match="lies outside"):
+            open_recording(tmp_path)
+
+
+def test_messages_can_be_shown_by_any_terminal():
+    text = str(InputError("\x1b[31m a\n b \udcff \u202e é " + "x" * 10_000))
+    assert text.startswith(r"\x1b[31m a\n b \udcff \u202e é xxx")
+    assert len(text) == 5000
+
+
+def test_a_matrix_that_is_no_rigid_motion_is_no_pose():
+    good = np.eye(4)
+    wrong = np.stack([np.diag([1.0, 1, -1, 1]), 2 * good, good, good, good])
+    wrong[2, 3], wrong[3, 3, 0], wrong[4, 0, 3] = 0, 5, 1e30
+    poses = rigid_poses(np.concatenate([good[None], wrong]))
+    np.testing.assert_array_equal(poses[0], good)
+    assert np.isnan(poses[1:]).all()
+
+
+def test_pairs_of_mirrored_images_are_refused(tmp_path):
+    kind = FORMATS["pair list"]
+    for path, content in kind.files.items():
+        (tmp_path / path).write_bytes(content)
+    mirrored = kind.files["pairs.txt"].replace(b"1 0 0 0.5 0 1 0 0", b"-1 0 0 0.5 0 1 0 0")
+    (tmp_path / "pairs.txt").write_bytes(mirrored)
+    with pytest.raises(InputError, match="should be a rotation"):
+        read_pair_list(tmp_path / "pairs.txt")
 
 
 def test_quotes_are_short():

@@ -21,7 +21,8 @@ PRELUDE = """
 import json, sys, warnings
 import numpy as np
 import sfgs_jax
-from sfgs_jax import Camera, Frame, factor_graph, gicp, slam, splatting, superfeats
+from sfgs_jax import Camera, Frame, datasets, evaluation, factor_graph, geometry, gicp, slam, splatting
+from sfgs_jax import superfeats
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import se3
 
@@ -86,7 +87,31 @@ MISTAKES = {
     "factor_graph.Values(np.eye(4))": "Values take an array of poses",
     "factor_graph.Values([1])": "The poses of Values is a jaxlie.SE3 or .* not list",
     "factor_graph.PosePrior([0], np.eye(4)[None, :3], np.eye(6))": "of PosePrior is .* not an array",
+    # Building blocks, by their annotations
+    "geometry.register_depth(depth.tolist(), camera, camera, np.eye(4))": (
+        r"depth of register_depth should be an array of floating-point numbers \(h, w\) \(metres .* not list"
+    ),
+    "geometry.register_depth(depth[:9], camera, camera, np.eye(4))": "of its camera's shape .* not float32",
+    "geometry.register_depth(depth, np.eye(3), camera, np.eye(4))": "depth_camera .* should be a Camera",
+    "geometry.downscale_rgb(rgb, 0)": "factor of downscale_rgb should be at least 1, not 0",
+    "geometry.kernel_rho(depth, 'hubert', 1.0)": "kernel of kernel_rho should be one of .* not 'hubert'",
+    "geometry.kernel_rho(depth, 'huber', -1.0)": r"width of kernel_rho should be above 0, not -1\.0",
+    "geometry.Trajectory([0.0], np.eye(4)[None])": "of a Trajectory are NumPy arrays .* not list",
+    "geometry.read_tum(b'x')": "path of read_tum should be the path of a file .* not bytes",
+    "geometry.read_tum('a\\0b')": "path of read_tum should be the path of a file",
+    "se3.log(2 * np.eye(4))": "T is no rigid motion",
+    "se3.transform(np.eye(3), np.zeros(3))": "T_a_b is a jaxlie.SE3 .* not an array of",
+    "datasets.open_recording(None)": "The source of a recording is the path .* not None",
+    "datasets.open_recording('x', options={})": "options of open_recording should be a ReaderOptions",
+    "datasets.open_recording('a\\0b')": "There is no a",
+    "datasets.ReaderOptions(camera='camera.json')": "The setting camera must be a pathlib.Path or None",
+    "evaluation.ate(None, None)": "estimate of ate should be a Trajectory .* not None",
+    "evaluation.align_points(np.full((3, 3), np.nan), np.zeros((3, 3)))": "should be finite points",
+    "evaluation.repeatability(*[np.zeros((2, 2))] * 2, np.eye(3), (9, 9), 9)": "shape_b of repeatability",
+    "evaluation.psnr(rgb, rgb[:9])": "b of psnr should be an array",
     # The system
+    "slam.step(camera, Frame(rgb, depth, 0.0))": "state of step should be a SlamState .* not Camera",
+    "slam.init(camera, {})": "config of init should be a SlamConfig or None .* not dict",
     "slam.init(np.eye(3))": "The camera is a Camera, not float64",
     "slam.step(state, rgb)": r"A step takes a Frame\(rgb, depth, timestamp\), not float32",
     "slam.step(state, Frame(rgb[::2], depth[::2], 0.0))": "The frame has colour .* the camera is for images",

@@ -10,6 +10,17 @@ _QUOTES.maxstring = _QUOTES.maxother = _QUOTES.maxlong = _LONGEST - 20
 _QUOTES.maxlevel = 3
 
 
+def printable(text: str) -> str:
+    """A text on one line of characters that any terminal can show; others are as Python writes them.
+
+    Args:
+        text: may hold names of files, which may hold anything.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
 def excerpt(value: object) -> str:
     """A value as a message quotes it, at most about 100 characters on one line.
 

@@ -7,7 +7,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, file_text
 from sfgs_jax.cli._run import RunOptions, parse_run
 
 _OF_THE_BATCH = ("out", "overwrite", "resume", "quiet", "view", "realtime")
@@ -42,7 +42,7 @@ def read_list(path: Path) -> list[Entry]:
         InputError: it can't be read, has no recording, or a line is not understood; the line is named.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = file_text(path)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read the list {path}: {excerpt(error)}.") from error
     entries: list[Entry] = []

@@ -2,14 +2,13 @@
 
 import csv
 import io
-import json
 import math
 import shlex
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal, get_args
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, file_text, parsed_json, write_atomically
 from sfgs_jax.cli._batch_list import Entry
 
 RECORD_FILE = "batch.csv"
@@ -56,7 +55,7 @@ def outcome_of(entry: Entry, folder: Path, state: State, seconds: float, message
         message: why it failed.
     """
     try:
-        metrics = json.loads((folder / "metrics.json").read_text())
+        metrics = parsed_json(file_text(folder / "metrics.json"))
     except (OSError, ValueError):
         metrics = {}
     frames = metrics.get("frames", {})
@@ -103,8 +102,7 @@ def read_record(path: Path) -> dict[str, Outcome]:
     if not path.exists():
         return {}
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [_outcome(row) for row in csv.DictReader(file)]
+        rows = [_outcome(row) for row in csv.DictReader(io.StringIO(file_text(path)))]
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise InputError(
             f"{path} is no record of a batch ({excerpt(error)}): remove it, or choose another folder with "

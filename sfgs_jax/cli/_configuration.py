@@ -7,7 +7,7 @@ import typing
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, file_text, parsed_json
 from sfgs_jax.datasets import ReaderOptions
 from sfgs_jax.slam import SlamConfig
 
@@ -48,8 +48,8 @@ def from_json(text: str, name: str) -> RunConfig:
         InputError: it is not JSON, or a setting is missing, unknown, of the wrong kind or out of range.
     """
     try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        data = parsed_json(text)
+    except ValueError as error:
         raise InputError(f"{name} is not JSON ({excerpt(error)}).") from error
     return _build(RunConfig, data, name)
 
@@ -57,7 +57,7 @@ def from_json(text: str, name: str) -> RunConfig:
 def read_config(path: Path) -> RunConfig:
     """The configuration in a file. Raises InputError as `from_json` does, or if the file can't be read."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = file_text(path)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read the configuration {path}: {excerpt(error)}.") from error
     return from_json(text, str(path))

@@ -1,5 +1,6 @@
 """Entry point: chooses the command and turns errors into one sentence and an exit status."""
 
+import io
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -53,6 +54,9 @@ def main(arguments: list[str] | None = None, *, commands: Mapping[str, Command] 
         0, or 1 if the work failed, 2 if the input can't be used, 130 if it was interrupted.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Names of files may hold bytes that are no text.
+        sys.stdout.reconfigure(errors="backslashreplace")
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(_usage(commands))
         return 0 if arguments else EXIT_INPUT

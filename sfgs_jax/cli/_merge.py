@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -55,7 +56,7 @@ class MergeArguments:
 def merge_command(arguments: list[str]) -> int:
     """Run the command; see MergeArguments."""
     options = tyro.cli(MergeArguments, prog="sfgs-jax merge", args=arguments)
-    if options.first.resolve() == options.second.resolve():
+    if os.path.realpath(options.first) == os.path.realpath(options.second):
         raise InputError(f"Both runs are {options.first}: give the folders of two runs.")
     (config, first), (_, second) = (_kept(folder) for folder in (options.first, options.second))
     try:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -178,10 +179,10 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
     )
     known = read_sensors(options.sensors) if options.sensors is not None else None
     path = None if options.sensors is None else options.sensors.absolute()
-    place = None if options.map is None else options.map.resolve()
+    place = None if options.map is None else Path(os.path.realpath(options.map))
     config = RunConfig(_absolute(source), recording.dataset, options.reader, options.slam, path, place)
     folder = options.out or Path("runs") / recording.name
-    if place is not None and place == folder.resolve():
+    if place is not None and place == Path(os.path.realpath(folder)):
         raise InputError(f"{folder} holds the map to go on in: choose another folder with --out.")
     # Before anything is overwritten: the map may be of another camera.
     begun = None if place is None or options.resume else _in_map(place, options.slam, recording.camera)

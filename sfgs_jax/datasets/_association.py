@@ -3,9 +3,11 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Trajectory, slerp
 
 
+@checked
 def associate(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " m"], limit: float) -> Int[np.ndarray, "k 2"]:
     """Pairs of nearest time stamps, one to one, by greedy association.
 
@@ -37,6 +39,7 @@ def associate(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " m"], limit: flo
     return np.asarray(sorted(pairs.items()), np.int64).reshape(-1, 2)
 
 
+@checked
 def poses_at(
     trajectory: Trajectory, timestamps: Float[np.ndarray, " n"], limit: float
 ) -> tuple[Trajectory, Int[np.ndarray, " k"]]:

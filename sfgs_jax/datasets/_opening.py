@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked_but, described, excerpt
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.datasets._selection import select
@@ -70,6 +70,7 @@ LAYOUTS = (*_FILE_LAYOUTS, _SYNTHETIC)
 """Names of the layouts, the possible values of `dataset`."""
 
 
+@checked_but("source")
 def open_recording(
     source: str | Path, *, dataset: str | None = None, options: ReaderOptions | None = None
 ) -> Recording:
@@ -86,6 +87,10 @@ def open_recording(
         InputError: the path is missing or no folder, the layout unknown or other than `dataset`, there are
             no images, intrinsics are missing, colour and depth differ in size, or a file can't be understood.
     """
+    if not isinstance(source, Path | str):
+        raise InputError(
+            f"The source of a recording is the path of a folder or file, not {described(source)}."
+        )
     options = options or ReaderOptions()
     if dataset is not None and dataset not in LAYOUTS:
         raise InputError(f"There is no layout {dataset!r}; choose from {', '.join(LAYOUTS)}.")
@@ -94,8 +99,12 @@ def open_recording(
     text = str(source)
     if text == _SYNTHETIC or text.startswith(_SYNTHETIC + ":") or dataset == _SYNTHETIC:
         return select(SyntheticRecording.parse(text), options)
-    path = Path(source).expanduser()
-    if not path.exists():
+    try:
+        path = Path(source).expanduser()
+        exists = path.exists()
+    except (OSError, ValueError, RuntimeError) as error:  # no name of a file, or of a user
+        raise InputError(f"There is no {excerpt(text)}: {excerpt(error)}.") from error
+    if not exists:
         raise InputError(f"There is no {path}.")
     if path.is_file() and not any(layout.matches(path) for layout in _FILE_LAYOUTS.values()):
         raise InputError(f"{path} is a file; give the folder of a recording (its images unpacked).")

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from sfgs_jax.arrays import check_counts, check_positive, check_range
+from sfgs_jax.arrays import InputError, check_counts, check_positive, check_range, excerpt
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,10 @@ class ReaderOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
+        if self.camera is not None and not isinstance(self.camera, Path):
+            raise InputError(
+                f"The setting camera must be a pathlib.Path or None, not {excerpt(self.camera)}."
+            )
         check_range(self, 0, math.inf, "association_limit")
         if self.depth_scale is not None:
             check_range(self, 1e-6, 1e9, "depth_scale")

@@ -4,11 +4,12 @@ import threading
 import time
 from collections.abc import Iterator
 
-from sfgs_jax.arrays import FrameError
+from sfgs_jax.arrays import FrameError, checked, require_least
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.geometry import Frame
 
 
+@checked
 def play(recording: Recording, *, first: int = 0) -> Iterator[tuple[int, Frame | FrameError]]:
     """Frames of a recording at the times they were taken; a consumer that is too slow misses frames.
 
@@ -22,7 +23,11 @@ def play(recording: Recording, *, first: int = 0) -> Iterator[tuple[int, Frame |
 
     Yields:
         The frame's index, and the frame or the error that kept it from being decoded.
+
+    Raises:
+        InputError: the first index is negative.
     """
+    require_least(first, 0, "first of play")
     mailbox = _Mailbox()
     times = recording.timestamps - recording.timestamps[first] if len(recording) > first else []
 

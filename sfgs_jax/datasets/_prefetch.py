@@ -4,11 +4,12 @@ import queue
 import threading
 from collections.abc import Generator
 
-from sfgs_jax.arrays import FrameError
+from sfgs_jax.arrays import FrameError, checked, require_least
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.geometry import Frame
 
 
+@checked
 def prefetch(
     recording: Recording, *, ahead: int = 4, first: int = 0
 ) -> Generator[tuple[int, Frame | FrameError], None, None]:
@@ -25,7 +26,12 @@ def prefetch(
 
     Yields:
         The frame's index, and the frame or the error that kept it from being decoded.
+
+    Raises:
+        InputError: no frame may wait, or the first index is negative.
     """
+    require_least(ahead, 1, "ahead of prefetch")
+    require_least(first, 0, "first of prefetch")
     # A bounded queue alone would leave the thread blocked in `put` once nobody takes any more.
     waiting: queue.Queue[tuple[int, Frame | BaseException] | None] = queue.Queue(maxsize=ahead)
     stopped = threading.Event()

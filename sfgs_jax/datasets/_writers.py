@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, write_atomically
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.datasets.files import depth_units
 from sfgs_jax.geometry import Camera, Frame, Trajectory, format_tum
@@ -19,6 +19,7 @@ _UNITS_PER_METRE = {"tum": 5000.0, "replica": 6553.5, "folder": 1000.0}
 _JPEG_QUALITY = 98
 
 
+@checked
 def write_recording(recording: Recording, path: str | Path, *, layout: Layout) -> None:
     """Write all frames of a recording, and its ground truth if it has any.
 

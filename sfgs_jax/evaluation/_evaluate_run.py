@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, checked, write_atomically
 from sfgs_jax.datasets import Recording, associate
 from sfgs_jax.evaluation._run_folder import SAME_TIME_S, PosedFrames, posed_frames, read_json
 from sfgs_jax.evaluation.images import (
@@ -44,6 +44,7 @@ _OWN_KEYS = (
 )
 
 
+@checked
 def evaluate_run(
     run_dir: Path,
     recording: Recording,

@@ -1,6 +1,5 @@
 """The folder that a run wrote, read back."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, checked, excerpt, file_text, parsed_json
 from sfgs_jax.datasets import Recording, associate
 from sfgs_jax.geometry import Trajectory, read_tum, se3
 from sfgs_jax.sensors import (
@@ -68,7 +67,7 @@ class PosedFrames:
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object from a file; an empty one if there is no file. Raises InputError for anything else."""
     try:
-        content = json.loads(path.read_text())
+        content = parsed_json(file_text(path))
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
@@ -78,6 +77,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
+@checked
 def posed_frames(run_dir: Path, recording: Recording) -> PosedFrames:
     """Match the run's trajectory and keyframes with the recording's frames, by time stamp.
 

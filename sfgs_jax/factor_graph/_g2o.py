@@ -9,7 +9,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, file_bytes, write_atomically
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.factors._pose_factors import RelativePose
 from sfgs_jax.factor_graph.start._spanning_tree import spanning_tree_start
@@ -39,6 +39,7 @@ class PoseGraph:
     """(P,) poses named by FIX; none if the file names none."""
 
 
+@checked
 def read_g2o(path: Path | str) -> PoseGraph:
     """Read a graph of `VERTEX_SE3:QUAT`, `EDGE_SE3:QUAT` and `FIX` lines; `PARAMS_` lines are skipped.
 
@@ -48,9 +49,8 @@ def read_g2o(path: Path | str) -> PoseGraph:
     near a solution. A file without vertices gets its poses from `spanning_tree_start`.
 
     Raises:
-        InputError: a line of another kind, or one that can't be read; a pose that is missing; an information
-            matrix with a negative eigenvalue.
-        OSError: the file can't be read.
+        InputError: the file can't be read; a line of another kind, or one that can't be read; a pose that is
+            missing; an information matrix with a negative eigenvalue.
     """
     lines = _read_lines(path)
     touched = {v for pair in lines.ends for v in pair}
@@ -78,6 +78,7 @@ def read_g2o(path: Path | str) -> PoseGraph:
     return PoseGraph(values, measured, vertices, np.isin(vertices, list(lines.fixed)))
 
 
+@checked
 def write_g2o(path: Path | str, graph: PoseGraph) -> None:
     """Write a graph that `read_g2o` reads back; masked edges are left out.
 
@@ -117,29 +118,32 @@ class _Lines:
 
 def _read_lines(path: Path | str) -> _Lines:
     lines = _Lines({}, [], [], [], set())
-    # Bytes that are no text end in a line of an unknown kind.
-    with open(path, encoding="utf-8", errors="replace") as file:
-        for number, line in enumerate(file, start=1):
-            tag, *words = line.split("#")[0].split() or [""]
-            where = f"line {number} of {path}"
-            try:
-                if tag == _VERTEX:
-                    if _whole(words[0]) in lines.poses:
-                        raise InputError(f"Cannot read {where}: vertex {excerpt(words[0])} is there already.")
-                    lines.poses[_whole(words[0])] = _numbers(words[1:], 7)
-                elif tag == _EDGE:
-                    lines.ends.append((_whole(words[0]), _whole(words[1])))
-                    lines.edges.append(_numbers(words[2:], 28))
-                    lines.numbers.append(number)
-                elif tag == _FIX:
-                    lines.fixed.update(map(_whole, words))
-                elif tag and not tag.startswith("PARAMS_"):
-                    raise InputError(
-                        f"Cannot read {where}: {tag[:_LONGEST]} is not one of {_VERTEX}, {_EDGE}, {_FIX}; "
-                        "convert the graph to 3-D poses and edges between them."
-                    )
-            except (ValueError, IndexError):
-                raise InputError(f"Cannot read {where}: {tag} needs other numbers than it has.") from None
+    try:
+        # Bytes that are no text end in a line of an unknown kind.
+        text = file_bytes(path).decode("utf-8", errors="replace")
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read the graph {path}: {excerpt(error)}.") from error
+    for number, line in enumerate(text.splitlines(), start=1):
+        tag, *words = line.split("#")[0].split() or [""]
+        where = f"line {number} of {path}"
+        try:
+            if tag == _VERTEX:
+                if _whole(words[0]) in lines.poses:
+                    raise InputError(f"Cannot read {where}: vertex {excerpt(words[0])} is there already.")
+                lines.poses[_whole(words[0])] = _numbers(words[1:], 7)
+            elif tag == _EDGE:
+                lines.ends.append((_whole(words[0]), _whole(words[1])))
+                lines.edges.append(_numbers(words[2:], 28))
+                lines.numbers.append(number)
+            elif tag == _FIX:
+                lines.fixed.update(map(_whole, words))
+            elif tag and not tag.startswith("PARAMS_"):
+                raise InputError(
+                    f"Cannot read {where}: {excerpt(tag[:_LONGEST])} is not one of {_VERTEX}, {_EDGE}, "
+                    f"{_FIX}; convert the graph to 3-D poses and edges between them."
+                )
+        except (ValueError, IndexError):
+            raise InputError(f"Cannot read {where}: {tag} needs other numbers than it has.") from None
     return lines
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.factors._factor import squared_mahalanobis
 from sfgs_jax.factor_graph.factors._pose_factors import RelativePose
@@ -14,6 +15,7 @@ CLIQUE_STARTS = 32
 _Indices = Int[np.ndarray, "..."]
 
 
+@checked
 def consistent_loops(
     loops: RelativePose,
     odometry: Values,
@@ -71,6 +73,7 @@ def consistent_loops(
     return kept
 
 
+@checked
 def within_threshold(
     loops: RelativePose, values: Values, *, max_square: float = 16.81
 ) -> Bool[np.ndarray, " N"]:

@@ -4,12 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.problem._graph import FactorGraph
 
 _PATH, _LOOP, _LANDMARK = "#2563eb", "#dc2626", "#94a3b8"
 
 
+@checked
 def plot_graph(graph: FactorGraph, before: Values, after: Values, path: Path | str) -> None:
     """Draw poses, links between poses that are not neighbours in time, and landmarks, from above.
 

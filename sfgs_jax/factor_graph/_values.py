@@ -6,7 +6,7 @@ import jaxlie
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry import se3
 
 
@@ -37,6 +37,7 @@ class Values(eqx.Module):
         self.landmarks = jnp.zeros((0, 3), self.poses.wxyz_xyz.dtype) if landmarks is None else landmarks
 
 
+@checked
 def retract(values: Values, pose_steps: Float[Array, "P 6"], landmark_steps: Float[Array, "L 3"]) -> Values:
     """Retraction: move landmarks by addition, and poses on SO(3) x R^3, perturbed on the right.
 
@@ -48,7 +49,16 @@ def retract(values: Values, pose_steps: Float[Array, "P 6"], landmark_steps: Flo
         values: where the step begins.
         pose_steps: (P, 6) tangents, translation v first, then rotation w; metres and radians.
         landmark_steps: (L, 3) metres.
+
+    Raises:
+        InputError: there is not one step for each pose and each landmark.
     """
+    counts = values.poses.wxyz_xyz.shape[0], values.landmarks.shape[0]
+    if (len(pose_steps), len(landmark_steps)) != counts:
+        raise InputError(
+            f"pose_steps and landmark_steps of retract should have a row for each of the {counts[0]} poses "
+            f"and {counts[1]} landmarks, not {len(pose_steps)} and {len(landmark_steps)}."
+        )
     v, w = pose_steps[:, :3], pose_steps[:, 3:]
     turned = se3.compose(values.poses, se3.exp(jnp.concatenate([jnp.zeros_like(v), w], axis=1)))
     rotations = se3.rotation_matrix(values.poses)

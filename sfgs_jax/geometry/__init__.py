@@ -11,11 +11,12 @@ from sfgs_jax.geometry._downscale import downscale_depth as downscale_depth
 from sfgs_jax.geometry._downscale import downscale_rgb as downscale_rgb
 from sfgs_jax.geometry._frame import Frame as Frame
 from sfgs_jax.geometry._frame import clean_depth as clean_depth
+from sfgs_jax.geometry._frame import has_depth as has_depth
 from sfgs_jax.geometry._held_out import HELD_OUT_EVERY as HELD_OUT_EVERY
 from sfgs_jax.geometry._held_out import is_held_out as is_held_out
-from sfgs_jax.geometry._image_checks import require_colour as require_colour
 from sfgs_jax.geometry._image_checks import require_depth as require_depth
 from sfgs_jax.geometry._image_checks import warn_unless_metres as warn_unless_metres
+from sfgs_jax.geometry._image_checks import warn_unless_unit_colours as warn_unless_unit_colours
 from sfgs_jax.geometry._reprojection import NEAREST_DEPTH as NEAREST_DEPTH
 from sfgs_jax.geometry._reprojection import ReprojectionResiduals as ReprojectionResiduals
 from sfgs_jax.geometry._reprojection import reprojection_residuals as reprojection_residuals

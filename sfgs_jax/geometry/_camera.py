@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from sfgs_jax.arrays import InputError, described, is_array, is_known, printed
+from sfgs_jax.arrays import InputError, checked, described, is_array, is_known, printed
 
 
 def _as_float(value: ArrayLike) -> Array:
@@ -127,6 +127,7 @@ class Camera(eqx.Module):
         )
 
 
+@checked
 def same_camera(a: Camera, b: Camera) -> bool:
     """Whether two cameras have images of one size and the same intrinsics, to a millionth.
 

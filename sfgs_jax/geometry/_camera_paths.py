@@ -4,11 +4,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry._rotations import quaternions_from_rotations, rotations_from_quaternions
 from sfgs_jax.geometry._trajectory import Trajectory
 
+_WIDEST = 100_000
+"""Poses of the widest filter."""
 
+
+@checked
 def smoothed(trajectory: Trajectory, sigma: float) -> Trajectory:
     """A trajectory without the shake of the hand: positions and quaternions under a Gaussian filter.
 
@@ -17,10 +21,13 @@ def smoothed(trajectory: Trajectory, sigma: float) -> Trajectory:
         sigma: standard deviation of the filter, in poses; 0 leaves the trajectory as it is.
 
     Raises:
-        InputError: `sigma` is negative or not finite.
+        InputError: `sigma` is negative, or far beyond any trajectory.
     """
-    if not 0 <= sigma < np.inf:
-        raise InputError(f"The standard deviation of a filter must be a number from 0, not {sigma!r}.")
+    if not 0 <= sigma <= _WIDEST:
+        raise InputError(
+            f"The standard deviation of a filter must be a number from 0, not {sigma!r}, "
+            f"and at most {_WIDEST}."
+        )
     if sigma == 0 or len(trajectory) < 2:
         return trajectory
     quaternions = quaternions_from_rotations(trajectory.poses[:, :3, :3])
@@ -33,6 +40,7 @@ def smoothed(trajectory: Trajectory, sigma: float) -> Trajectory:
     return Trajectory(trajectory.timestamps, poses)
 
 
+@checked
 def orbit(
     target: Float[np.ndarray, "3"],
     up: Float[np.ndarray, "3"],

@@ -6,16 +6,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import from_ordered_bits, ordered_bits
+from sfgs_jax.arrays import checked, from_ordered_bits, ordered_bits, require_least
 from sfgs_jax.geometry import se3
 from sfgs_jax.geometry._camera import Camera
 from sfgs_jax.geometry._frame import clean_depth
+from sfgs_jax.geometry._image_checks import require_depth
 
 # Neighbouring depth pixels on a slanted surface land a little further apart than their footprints are wide.
 # This factor on the footprints closes the cracks on surfaces up to about 60 degrees.
 _MARGIN = 1.15
 
 
+@checked
 @partial(jax.jit, static_argnames=("max_footprint",))
 def register_depth(
     depth: Float[Array, "h w"],
@@ -41,7 +43,12 @@ def register_depth(
 
     Returns:
         (H, W) metres along the other camera's z, 0 where missing.
+
+    Raises:
+        InputError: the image is not of its camera's size, or the footprint is below 1.
     """
+    require_depth(depth, depth_camera.shape, "depth of register_depth", "its camera's")
+    require_least(max_footprint, 1, "max_footprint of register_depth")
     depth, valid = clean_depth(depth)
     points = se3.transform(T_camera_depth, depth_camera.unproject(depth_camera.pixels(), depth))
     z = points[..., 2]

@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import checked, require_least
+
 
 def _strided(image: Array, factor: int) -> list[Array]:
     """The factor² images of one pixel of each block; rows and columns that don't fill a block are dropped.
@@ -14,12 +16,15 @@ def _strided(image: Array, factor: int) -> list[Array]:
     return [cut[i::factor, j::factor] for i in range(factor) for j in range(factor)]
 
 
+@checked
 def downscale_rgb(rgb: Float[Array, "H W 3"], factor: int) -> Float[Array, "h w 3"]:
     """Mean colour of each factor x factor block; the camera for it is `Camera.downscaled`."""
+    require_least(factor, 1, "factor of downscale_rgb")
     pixels = _strided(rgb, factor)
     return sum(pixels[1:], pixels[0]) / len(pixels)
 
 
+@checked
 def downscale_depth(
     depth: Float[Array, "H W"], factor: int, *, edge_tolerance: float = 0.05
 ) -> Float[Array, "h w"]:
@@ -35,7 +40,11 @@ def downscale_depth(
 
     Returns:
         (H // factor, W // factor) metres, 0 where the whole block is missing.
+
+    Raises:
+        InputError: the factor is below 1.
     """
+    require_least(factor, 1, "factor of downscale_depth")
     pixels = _strided(depth, factor)
     nearest = jnp.full_like(pixels[0], jnp.inf)
     for pixel in pixels:

@@ -9,8 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from sfgs_jax.arrays import InputError, described, is_array, is_known
+from sfgs_jax.arrays import InputError, checked, described, is_array, is_known
 from sfgs_jax.geometry._image_checks import require_colour, require_depth
+
+_NEAREST, _FARTHEST = 1e-6, 1e6
+"""Metres, of depth that can be one."""
 
 
 class Frame(eqx.Module):
@@ -75,9 +78,19 @@ class Frame(eqx.Module):
         return np.ones(self.depth.shape, bool) if self.valid is None else self.valid
 
 
+@checked
+def has_depth(depth: Float[Array | np.ndarray, "*n"]) -> Bool[Array | np.ndarray, "*n"]:
+    """Pixels whose depth in metres is one: not missing, and within what single precision can square.
+
+    Depth below a micrometre or beyond 1000 km counts as missing.
+    """
+    return (depth > _NEAREST) & (depth < _FARTHEST)
+
+
+@checked
 def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """Depth with everything not finite or not positive set to 0, and the mask of what is left."""
-    valid = jnp.isfinite(depth) & (depth > 0)
+    """Depth with everything set to 0 that is none by `has_depth`, and the mask of what is left."""
+    valid = jnp.asarray(has_depth(depth))
     return jnp.where(valid, depth, 0), valid
 
 

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from sfgs_jax.arrays import multiply
+from sfgs_jax.arrays import checked, multiply
 from sfgs_jax.geometry._camera import Camera
 from sfgs_jax.geometry._tangents import skew
 
@@ -42,6 +42,7 @@ class ReprojectionResiduals(eqx.Module):
     has_image: Bool[Array, " N"]
 
 
+@checked
 def reprojection_residuals(
     camera: Camera,
     points: Float[Array, "3 N"],

@@ -10,9 +10,12 @@ from typing import Literal, assert_never
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import checked, require_above_zero
+
 Kernel = Literal["none", "huber", "cauchy", "geman_mcclure", "tukey", "dynamic_covariance_scaling"]
 
 
+@checked
 def kernel_rho(square: Float[Array, "*n"], kernel: Kernel, width: float | Array) -> Float[Array, "*n"]:
     """Robust replacement rho(s) of squared whitened residuals s; continuous slope, rho(0) = 0.
 
@@ -24,7 +27,11 @@ def kernel_rho(square: Float[Array, "*n"], kernel: Kernel, width: float | Array)
         square: squared whitened residuals, at least 0.
         kernel: which kernel.
         width: positive, in standard deviations.
+
+    Raises:
+        InputError: the width is not positive.
     """
+    require_above_zero(width, "width of kernel_rho")
     limit = jnp.asarray(width, square.dtype) ** 2
     match kernel:
         case "none":
@@ -47,8 +54,10 @@ def kernel_rho(square: Float[Array, "*n"], kernel: Kernel, width: float | Array)
             assert_never(kernel)
 
 
+@checked
 def kernel_weight(square: Float[Array, "*n"], kernel: Kernel, width: float | Array) -> Float[Array, "*n"]:
     """Weight rho'(s) of squared whitened residuals s, from 1 at s = 0 down; arguments of `kernel_rho`."""
+    require_above_zero(width, "width of kernel_weight")
     limit = jnp.asarray(width, square.dtype) ** 2
     match kernel:
         case "none":

@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from sfgs_jax.arrays import checked
 
+
+@checked
 def quaternions_from_rotations(rotations: np.ndarray) -> np.ndarray:
     """(N, 4) unit quaternions wxyz, w >= 0, of (N, 3, 3) rotation matrices, in float64.
 
@@ -24,6 +27,7 @@ def quaternions_from_rotations(rotations: np.ndarray) -> np.ndarray:
     return np.where(q[:, :1] < 0, -q, q)
 
 
+@checked
 def rotations_from_quaternions(quaternions: np.ndarray) -> np.ndarray:
     """(N, 3, 3) rotation matrices of (N, 4) quaternions wxyz of any positive length, in float64."""
     q = np.asarray(quaternions, np.float64)
@@ -38,6 +42,7 @@ def rotations_from_quaternions(quaternions: np.ndarray) -> np.ndarray:
     )
 
 
+@checked
 def rotation_vectors(rotations: np.ndarray) -> np.ndarray:
     """(N, 3) axes times angles, radians from 0 to pi, of (N, 3, 3) rotation matrices, in float64."""
     q = quaternions_from_rotations(rotations)
@@ -47,6 +52,7 @@ def rotation_vectors(rotations: np.ndarray) -> np.ndarray:
     return np.where(sine > 0, angle / np.where(sine > 0, sine, 1), 2) * q[:, 1:]
 
 
+@checked
 def slerp(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Spherical linear interpolation of rotations, on the shortest arcs.
 

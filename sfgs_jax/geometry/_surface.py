@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry._camera import Camera
 from sfgs_jax.geometry._frame import clean_depth
 
@@ -60,6 +60,7 @@ class _Moments(eqx.Module):
     valid: Bool[Array, "H W"]
 
 
+@checked
 def surface(
     depth: Float[Array | np.ndarray, "H W"],
     camera: Camera,

@@ -3,9 +3,10 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import multiply
+from sfgs_jax.arrays import checked, multiply
 
 
+@checked
 def skew(v: Float[Array, "3 N"]) -> Float[Array, "3 3 N"]:
     """Cross product matrices of N vectors."""
     x, y, z = v
@@ -13,6 +14,7 @@ def skew(v: Float[Array, "3 N"]) -> Float[Array, "3 3 N"]:
     return jnp.stack([jnp.stack([o, -z, y]), jnp.stack([z, o, -x]), jnp.stack([-y, x, o])])
 
 
+@checked
 def inverse_right_jacobian(tangent: Float[Array, "6 N"]) -> Float[Array, "6 6 N"]:
     """Inverse right Jacobian J: log(exp(x) exp(d)) = x + J d to first order in d; translation first.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, checked, described, excerpt, file_text
 from sfgs_jax.geometry._rotations import quaternions_from_rotations, rotations_from_quaternions
 
 # Seconds and metres; a larger number is damage.
@@ -21,16 +21,21 @@ class Trajectory:
     Attributes:
         timestamps: (N,) seconds, float64.
         poses: (N, 4, 4) `T_world_cam`, float64.
+
+    Raises:
+        InputError: they are something else.
     """
 
     timestamps: np.ndarray
     poses: np.ndarray
 
     def __post_init__(self) -> None:
-        n = len(self.timestamps)
-        if self.timestamps.shape != (n,) or self.poses.shape != (n, 4, 4):
-            raise ValueError(
-                f"timestamps {self.timestamps.shape} and poses {self.poses.shape} must be (N,) and (N, 4, 4)."
+        times, poses = self.timestamps, self.poses
+        arrays = isinstance(times, np.ndarray) and isinstance(poses, np.ndarray)
+        if not arrays or times.ndim != 1 or poses.shape != (len(times), 4, 4):
+            raise InputError(
+                "The timestamps and poses of a Trajectory are NumPy arrays (N,), seconds, and (N, 4, 4), not "
+                f"{described(times)} and {described(poses)}."
             )
 
     def __len__(self) -> int:
@@ -45,6 +50,7 @@ class Trajectory:
         return Trajectory(self.timestamps[index], self.poses[index])
 
 
+@checked
 def parse_tum(text: str, name: str) -> Trajectory:
     """Read TUM lines `t tx ty tz qx qy qz qw`; `#` starts a comment.
 
@@ -81,16 +87,17 @@ def parse_tum(text: str, name: str) -> Trajectory:
     return Trajectory(table[:, 0], poses)
 
 
+@checked
 def read_tum(path: Path | str) -> Trajectory:
     """Read a trajectory in TUM format. Raises InputError as `parse_tum` does, or if there is no such file."""
-    path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = file_text(path)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read the trajectory {path}: {excerpt(error)}.") from error
     return parse_tum(text, str(path))
 
 
+@checked
 def format_tum(trajectory: Trajectory) -> str:
     """The trajectory as TUM text: time stamps to the microsecond, poses to nine digits."""
     xyzw = quaternions_from_rotations(trajectory.poses[:, :3, :3])[:, [1, 2, 3, 0]]
@@ -101,6 +108,7 @@ def format_tum(trajectory: Trajectory) -> str:
     return "".join(line + "\n" for line in ["# timestamp tx ty tz qx qy qz qw", *lines])
 
 
+@checked
 def format_kitti(trajectory: Trajectory) -> str:
     """The trajectory as KITTI text: a line of the 3 x 4 matrix by rows for each pose, without time stamps."""
     rows = trajectory.poses[:, :3].reshape(-1, 12)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, checked, excerpt, file_text
 
 _HEADER = (
     "# timestamp, covariance of x y z (m) and turns about x y z (rad) in the camera: upper triangle by rows"
@@ -13,6 +13,7 @@ _HEADER = (
 _UPPER = np.triu_indices(6)
 
 
+@checked
 def format_covariances(timestamps: Float[np.ndarray, " n"], covariances: Float[np.ndarray, "n 6 6"]) -> str:
     """Covariances of pose tangents as text: the time stamp and 21 numbers a line.
 
@@ -29,6 +30,7 @@ def format_covariances(timestamps: Float[np.ndarray, " n"], covariances: Float[n
     return "".join(line + "\n" for line in [_HEADER, *lines])
 
 
+@checked
 def read_covariances(path: Path | str) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 6 6"]]:
     """Time stamps and covariances of a file that `format_covariances` wrote.
 
@@ -39,11 +41,7 @@ def read_covariances(path: Path | str) -> tuple[Float[np.ndarray, " n"], Float[n
         InputError: there is no such file, or a line is not 22 finite numbers.
     """
     try:
-        lines = [
-            line
-            for line in Path(path).read_text(encoding="utf-8-sig").splitlines()
-            if line and not line.startswith("#")
-        ]
+        lines = [line for line in file_text(path).splitlines() if line and not line.startswith("#")]
         table = np.asarray([[float(word) for word in line.split()] for line in lines])
         table = table.reshape(len(lines), 1 + len(_UPPER[0]))
     except (OSError, ValueError) as error:

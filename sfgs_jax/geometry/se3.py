@@ -12,6 +12,7 @@ are our own, as products with constant tensors. XLA compiles each small array of
 jaxlie builds these from scalars: a quarter to a half of the arrays remain, and of the time to compile them.
 """
 
+import inspect
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar, cast
@@ -23,7 +24,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Num, Shaped
 
-from sfgs_jax.arrays import InputError, described, is_array, is_known, printed
+from sfgs_jax.arrays import InputError, checked, checked_but, described, is_array, is_known, printed
 from sfgs_jax.geometry._rotations import (
     quaternions_from_rotations,
     rotation_vectors,
@@ -109,9 +110,22 @@ def _promoting(function: Callable[_P, _R]) -> Callable[_P, _R]:
             return function(*args, **kwargs)
 
     # Called on the host, each is one small program rather than dozens; inside a larger one it dissolves.
-    return cast(Callable[_P, _R], jax.jit(wrapper, inline=True))
+    compiled = jax.jit(wrapper, inline=True)
+    names = [name for name in inspect.signature(function).parameters if name.startswith("T")]
+
+    @checked
+    @wraps(function)
+    def outer(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        # A matrix is looked at before it is traced: it may be no rigid motion.
+        given = [as_se3(cast(Any, T), name=name, axes=None) for name, T in zip(names, args, strict=False)]
+        named = {name: cast(Any, T) for name, T in kwargs.items()}
+        named |= {name: as_se3(named[name], name=name, axes=None) for name in names if name in named}
+        return cast(Callable[..., _R], compiled)(*given, *args[len(given) :], **named)
+
+    return outer
 
 
+@checked
 def identity(dtype: jnp.dtype | type = jnp.float32) -> jaxlie.SE3:
     """The motion that leaves every point where it is."""
     return jaxlie.SE3(jnp.asarray([1, 0, 0, 0, 0, 0, 0], dtype))
@@ -259,9 +273,10 @@ def _applied(matrix: Float[Array, "*b 3 3"], vector: Float[Array, "*b 3"]) -> Fl
     return jnp.sum(matrix * vector[..., None, :], axis=-1)
 
 
+@checked_but("T_a_b")
 def transform(T_a_b: Pose, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """Points given in frame b, in frame a. One motion, any number of points."""
-    T_a_b = as_se3(T_a_b)
+    T_a_b = as_se3(T_a_b, name="T_a_b")
     turned = jnp.einsum("ij,...j->...i", rotation_matrix(T_a_b), points, precision=_EXACT)
     return turned + T_a_b.wxyz_xyz[4:].reshape((1,) * (points.ndim - 1) + (3,))
 
@@ -282,6 +297,7 @@ def extent(T: Pose) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
     return jnp.linalg.norm(tangent[..., :3], axis=-1), jnp.linalg.norm(tangent[..., 3:], axis=-1)
 
 
+@checked
 def quaternion_product(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
     """Hamilton product of quaternions wxyz of any length: the rotation b, then a."""
     w, v = a[..., :1], a[..., 1:]
@@ -290,6 +306,7 @@ def quaternion_product(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Floa
     return jnp.concatenate([scalar, w * u + x * v + jnp.cross(v, u)], axis=-1)
 
 
+@checked
 def rotate(quaternions: Float[Array, "*b 4"], points: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """Points rotated by unit quaternions wxyz, one each."""
     w, axis = quaternions[..., :1], quaternions[..., 1:]
@@ -297,17 +314,20 @@ def rotate(quaternions: Float[Array, "*b 4"], points: Float[Array, "*b 3"]) -> F
     return points + w * across + jnp.cross(axis, across)
 
 
+@checked
 def from_matrix(matrix: Float[np.ndarray, "4 4"], dtype: jnp.dtype | type = jnp.float32) -> jaxlie.SE3:
     """Motion of a homogeneous matrix held on the host."""
     wxyz = quaternions_from_rotations(matrix[None, :3, :3])[0]
     return jaxlie.SE3(jnp.asarray(np.concatenate([wxyz, matrix[:3, 3]]), dtype))
 
 
+@checked
 def to_matrices(poses: jaxlie.SE3) -> Float[np.ndarray, "n 4 4"]:
     """Homogeneous matrices on the host, in float64, of a batch of n motions."""
     return matrices_of(np.asarray(poses.wxyz_xyz))
 
 
+@checked
 def matrices_of(parameters: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 4 4"]:
     """Homogeneous matrices on the host, in float64, of parameters wxyz_xyz."""
     parameters = np.asarray(parameters, np.float64)
@@ -317,11 +337,13 @@ def matrices_of(parameters: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 4 
     return matrices
 
 
+@checked
 def parameters_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
     """Poses as wxyz_xyz of matrices, on the host; `matrices_of` undoes it."""
     return np.concatenate([quaternions_from_rotations(matrices[:, :3, :3]), matrices[:, :3, 3]], axis=1)
 
 
+@checked
 def adjoints_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6 6"]:
     """Ad(T) of homogeneous matrices on the host, in float64; translation first."""
     R, t = matrices[:, :3, :3], matrices[:, :3, 3]
@@ -331,6 +353,7 @@ def adjoints_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6 
     return adjoints
 
 
+@checked
 def composed_covariances(
     first: Float[np.ndarray, "n 6 6"], T_b_c: Float[np.ndarray, "n 4 4"], second: Float[np.ndarray, "n 6 6"]
 ) -> Float[np.ndarray, "n 6 6"]:
@@ -347,6 +370,7 @@ def composed_covariances(
     return adjoints @ first @ np.swapaxes(adjoints, 1, 2) + second
 
 
+@checked
 def logs_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:
     """Tangents (translation first) of homogeneous matrices on the host, in float64."""
     w, t = rotation_vectors(matrices[:, :3, :3]), matrices[:, :3, 3]
@@ -357,6 +381,7 @@ def logs_of(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:
     return np.concatenate([v, w], axis=1)
 
 
+@checked
 def exps_of(tangents: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 4 4"]:
     """Homogeneous matrices of tangents (translation first) on the host, in float64; `logs_of` undoes it."""
     v, w = np.split(np.asarray(tangents, np.float64), 2, axis=1)

@@ -11,7 +11,7 @@ import jaxlie
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import InputError, described
+from sfgs_jax.arrays import InputError, checked_but, described
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp._assessment import ASSESSMENT_DECIMATION, RegistrationResult, assess
 from sfgs_jax.gicp._centred_frames import CentredFrames
@@ -33,6 +33,7 @@ _Outputs = tuple[jaxlie.SE3, Int[Array, ""], Bool[Array, ""]]
 """Fields of a `Minimum`: the rule of a derivative gives None for those that have none."""
 
 
+@checked_but("source", "target", "init_T_target_source")
 def align(
     source: Cloud,
     target: Cloud,

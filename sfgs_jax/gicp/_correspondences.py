@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sfgs_jax.arrays import (
     INDICES,
     Symmetric,
+    checked,
     dot,
     identity_like,
     packed_argmin,
@@ -171,6 +172,7 @@ def _normalised(covariances: Float[Array, "M 3 3"], epsilon: float) -> Float[Arr
     return ((1 - epsilon) * scaled + epsilon * identity).T
 
 
+@checked
 def associate(
     source: SourcePoints, target: TargetSurface, T_target_source: jaxlie.SE3
 ) -> tuple[Correspondences, Int[Array, " N"]]:

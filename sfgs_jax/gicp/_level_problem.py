@@ -10,7 +10,7 @@ import jaxlie
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import dot
+from sfgs_jax.arrays import checked, dot
 from sfgs_jax.geometry import kernel_rho, kernel_weight, se3
 from sfgs_jax.gicp._config import GicpConfig, at_level
 from sfgs_jax.gicp._correspondences import (
@@ -225,6 +225,7 @@ class _Trial(eqx.Module):
     converged: Bool[Array, ""]
 
 
+@checked
 def level_problem(
     source: Levels,
     target: Levels,

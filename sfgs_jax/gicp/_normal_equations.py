@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import INDICES, SQUARE, Symmetric, dot, identity_like, outer, symmetric_inverse
+from sfgs_jax.arrays import INDICES, SQUARE, Symmetric, checked, dot, identity_like, outer, symmetric_inverse
 from sfgs_jax.geometry import inverse_right_jacobian, se3
 from sfgs_jax.gicp._config import Residual
 from sfgs_jax.gicp._exact_products import exact_products
@@ -82,6 +82,7 @@ class NormalEquations(eqx.Module):
     cost: Float[Array, ""]
 
 
+@checked
 def weight_matrices(
     source_normals: Float[Array, "3 N"],
     target_normals: Float[Array, "3 N"],

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, checked, excerpt, require_file
 
 # Metres. A larger number is damage.
 _FARTHEST = 1e9
 
 
+@checked
 def load_points(path: Path | str) -> Float[np.ndarray, "N 3"]:
     """Points of a point cloud, or vertices of a mesh, in any format that trimesh reads; float64 metres.
 
@@ -24,6 +25,7 @@ def load_points(path: Path | str) -> Float[np.ndarray, "N 3"]:
     if not path.is_file():
         raise InputError(f"There is no file {path}.")
     try:
+        require_file(path)
         loaded = trimesh.load(path)
     except Exception as error:  # trimesh's readers raise whatever a broken file trips
         raise InputError(f"Cannot read points from {path}: {excerpt(error)}.") from error

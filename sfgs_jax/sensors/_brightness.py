@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from sfgs_jax.geometry import Camera
+from sfgs_jax.arrays import checked
+from sfgs_jax.geometry import Camera, has_depth
 
 _BLOCK = 16
 """Side of the blocks of pixels that are compared by their means, pixels."""
@@ -14,6 +15,7 @@ _LARGEST_CHANGE = 1.0
 """Largest change of a logarithm that is believed: more is a flash, or a covered lens."""
 
 
+@checked
 def block_means(rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w 3"]:
     """Mean colours of blocks of 16 x 16 pixels; what is left over at the right and at the bottom is cut off.
 
@@ -25,6 +27,7 @@ def block_means(rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w 3"]:
     return cv2.resize(np.asarray(whole, np.float32), (w, h), interpolation=cv2.INTER_AREA)
 
 
+@checked
 def brightness_change(
     before: Float[np.ndarray, "h w 3"],
     now: Float[np.ndarray, "h w 3"],
@@ -53,7 +56,7 @@ def brightness_change(
         return none
     fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
     v, u = np.mgrid[half : h * _BLOCK : _BLOCK, half : w * _BLOCK : _BLOCK]
-    known = seen & np.isfinite(z) & (z > 0)
+    known = seen & has_depth(z)
     z = np.where(known, z, 1.0)
     points = np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=-1)
     there = points @ T_before_now[:3, :3].T + T_before_now[:3, 3]

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Camera, clean_depth
 from sfgs_jax.sensors._depth_registration import registered_depth
 
@@ -82,6 +83,7 @@ class DepthCorrection(eqx.Module):
         return registered_depth(undistorted, camera, self.extrinsic)
 
 
+@checked
 def corrected_depth(depth: Float[Array, "*n"], offsets: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Depth after its inverse lost an offset, metres; 0 where that leaves no surface.
 
@@ -93,6 +95,7 @@ def corrected_depth(depth: Float[Array, "*n"], offsets: Float[Array, "*n"]) -> F
     return jnp.where(ratio > 0, depth / jnp.where(ratio > 0, ratio, 1), 0)
 
 
+@checked
 def grid_shares(
     pixels: Float[Array, "N 2"], camera: Camera, shape: tuple[int, int] = DEPTH_GRID
 ) -> Float[Array, "G N"]:

@@ -3,13 +3,15 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sfgs_jax.geometry import Camera
+from sfgs_jax.arrays import checked
+from sfgs_jax.geometry import Camera, require_depth
 from sfgs_jax.sensors._timing import SensorTiming, carried, row_places
 
 _ROUNDS = 2
 """Times that the pixel is looked for at which depth saw a ray; the second begins with the depth found."""
 
 
+@checked
 def depth_in_time(
     depth: Float[Array, "h w"], camera: Camera, twist: Float[Array, "6"], timing: SensorTiming
 ) -> Float[Array, "h w"]:
@@ -26,7 +28,11 @@ def depth_in_time(
 
     Returns:
         Metres along z; 0 where the ray or its surface had no depth.
+
+    Raises:
+        InputError: the image is not of its camera's size.
     """
+    require_depth(depth, camera.shape, "depth of depth_in_time", "its camera's")
     height, width = depth.shape
     pixels = camera.pixels().reshape(-1, 2)
     places = row_places(pixels[:, 1], height)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import dot
+from sfgs_jax.arrays import checked, dot
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors._depth_interpolation import interpolated_depth
 
@@ -40,6 +40,7 @@ def registered_depth(
     return jnp.where(known, points[2], 0).reshape(depth.shape)
 
 
+@checked
 def depth_slopes(points: Float[Array, "3 K"], normals: Float[Array, "3 K"]) -> Float[Array, "6 K"]:
     """Relative change of depth along the rays of some points, by the tangent of T_colour_depth.
 

@@ -7,12 +7,15 @@ multiplies each channel. There is no offset: it would take on what the map lacks
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import checked
+
 LARGEST_GAIN = 4.0
 """Two stops of colours: the most that an image may differ from the map, so that gains can be undone."""
 TYPICAL_COLOUR = 0.4
 """Mean colour of an image of a room, in [0, 1]: what a pixel of the prior shows."""
 
 
+@checked
 def fitted_gain(
     scene: Float[Array, "h w 3"],
     rgb: Float[Array, "h w 3"],
@@ -35,6 +38,7 @@ def fitted_gain(
     return jnp.clip(gain, 1 / LARGEST_GAIN, LARGEST_GAIN)
 
 
+@checked
 def with_gain(rgb: Float[Array, "h w 3"], gain: Float[Array, "3"]) -> Float[Array, "h w 3"]:
     """An image of the scene as the camera shows it.
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, checked, excerpt, file_text
 
 EXPOSURE_FILE = "exposure.txt"
 """Name of the file in the folder of a run."""
@@ -13,6 +13,7 @@ EXPOSURE_FILE = "exposure.txt"
 _HEADER = "# timestamp gain_r gain_g gain_b"
 
 
+@checked
 def format_gains(timestamps: Float[np.ndarray, " n"], gains: Float[np.ndarray, "n 3"]) -> str:
     """Gains as text: the time stamp and three gains a line.
 
@@ -25,6 +26,7 @@ def format_gains(timestamps: Float[np.ndarray, " n"], gains: Float[np.ndarray, "
     return "".join(line + "\n" for line in [_HEADER, *lines])
 
 
+@checked
 def read_gains(path: Path | str) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """Time stamps and gains of a file that `format_gains` wrote.
 
@@ -35,11 +37,7 @@ def read_gains(path: Path | str) -> tuple[Float[np.ndarray, " n"], Float[np.ndar
         InputError: there is no such file, or a line is not four finite numbers, the gains positive.
     """
     try:
-        lines = [
-            line
-            for line in Path(path).read_text(encoding="utf-8-sig").splitlines()
-            if line and not line.startswith("#")
-        ]
+        lines = [line for line in file_text(path).splitlines() if line and not line.startswith("#")]
         table = np.asarray([[float(word) for word in line.split()] for line in lines]).reshape(len(lines), 4)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read the exposures {path}: {excerpt(error)}.") from error

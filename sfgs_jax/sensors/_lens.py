@@ -6,13 +6,14 @@ import numpy as np
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import InputError, described, is_floating
-from sfgs_jax.geometry import Camera, clean_depth, require_camera, require_colour, require_depth
+from sfgs_jax.arrays import InputError, checked
+from sfgs_jax.geometry import Camera, clean_depth, require_depth
 from sfgs_jax.sensors._depth_interpolation import interpolated_depth
 
 _COUNTS = (4, 5, 8)
 
 
+@checked
 def undistorted(
     rgb: Float[Array | np.ndarray, "H W 3"],
     depth: Float[Array | np.ndarray, "H W"],
@@ -38,15 +39,9 @@ def undistorted(
         InputError: the images are no floating-point images of the camera's size, or there are other than 4, 5
             or 8 coefficients.
     """
-    require_camera(camera)
-    require_colour(rgb, "The colour image")
     require_depth(depth, camera.shape, "The depth image", "its camera's")
-    if rgb.shape[:2] != camera.shape:
-        raise InputError(f"The colour image has its camera's shape {camera.shape}, not {rgb.shape[:2]}.")
-    if not is_floating(coefficients) or coefficients.shape not in [(count,) for count in _COUNTS]:
-        raise InputError(
-            f"A lens has 4, 5 or 8 coefficients (k1, k2, p1, p2, ...), not {described(coefficients)}."
-        )
+    if len(coefficients) not in _COUNTS:
+        raise InputError(f"A lens has 4, 5 or 8 coefficients (k1, k2, p1, p2, ...), not {len(coefficients)}.")
     return _undistorted(rgb, depth, camera, coefficients)
 
 

@@ -4,6 +4,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Real, UInt8
 
+from sfgs_jax.arrays import checked
+
 _JUMP = 1.05
 """Ratio of depths across an outline."""
 _CAP = 4.0
@@ -12,6 +14,7 @@ _MOST = 3000
 """Pixels of outlines that are kept of an image."""
 
 
+@checked
 def colour_edges(grey: UInt8[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Gradient of an image in units of its mean, capped, less its mean: 0 on average.
 
@@ -24,6 +27,7 @@ def colour_edges(grey: UInt8[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     return scaled - scaled.mean()
 
 
+@checked
 def depth_outlines(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 2"]:
     """Pixels (u, v) on the near side of a jump of depth: there a surface ends, and its picture with it.
 
@@ -48,6 +52,7 @@ def _near_sides(depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return (depth > 0) & (far > _JUMP * depth) & (depth < 1.01 * near)
 
 
+@checked
 def outline_agreement(
     edges: Real[np.ndarray, "k h w"], outlines: Int[np.ndarray, "s n 2"]
 ) -> Float[np.ndarray, "s k"]:

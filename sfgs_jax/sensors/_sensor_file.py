@@ -1,12 +1,11 @@
 """`sensors.json`: the model of a camera that a run has found, for the next run of the same camera."""
 
-import json
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, checked, excerpt, file_text, parsed_json
 from sfgs_jax.sensors._depth_correction import DEPTH_GRID, DepthCorrection
 from sfgs_jax.sensors._model import SensorModel
 from sfgs_jax.sensors._timing import SensorTiming
@@ -23,6 +22,7 @@ _LARGEST = 10.0
 _LARGEST_EXTRINSIC = 0.2
 
 
+@checked
 def read_sensors(path: Path) -> SensorModel:
     """The model of a camera that an earlier run has written.
 
@@ -33,7 +33,7 @@ def read_sensors(path: Path) -> SensorModel:
         InputError: the file can't be read, or holds something else.
     """
     try:
-        found = json.loads(path.read_text(encoding="utf-8-sig"))
+        found = parsed_json(file_text(path))
         times, offsets = found.get("times_s"), found.get("depth_offsets_per_m")
         tangent = found.get("T_colour_depth_tangent")
         extrinsic = None if tangent is None else np.asarray(tangent, np.float64)
@@ -41,7 +41,7 @@ def read_sensors(path: Path) -> SensorModel:
         depth = None if offsets is None else np.asarray(offsets, np.float64)
     except OSError as error:
         raise InputError(f"Cannot read the sensors in {path}: {excerpt(error)}.") from error
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise InputError(f"{path} holds no model of a camera: give the {SENSOR_FILE} of a run.") from error
     if seconds is None and depth is None:
         raise InputError(f"{path} holds no model of a camera: give the {SENSOR_FILE} of a run.")

@@ -4,6 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from sfgs_jax.arrays import checked, require_least
+
 
 def _as_float(value: ArrayLike) -> Array:
     array = jnp.asarray(value)
@@ -64,16 +66,22 @@ class RollingShutter(eqx.Module):
     readout: Float[Array, ""] = eqx.field(converter=_as_float)
 
 
+@checked
 def row_places(rows: Float[Array, "*n"], height: int) -> Float[Array, "*n"]:
     """Places of rows in an image, from -1/2 at the top to 1/2 at the bottom, the same at every resolution.
 
     Args:
         rows: row coordinates; the first row lies at 0.
         height: rows of the image.
+
+    Raises:
+        InputError: there is no row.
     """
+    require_least(height, 1, "height of row_places")
     return (rows + 0.5) / height - 0.5
 
 
+@checked
 def velocities(points: Float[Array, "3 N"], twist: Float[Array, "6"]) -> Float[Array, "3 N"]:
     """Velocity of points that move with a camera, metres per second: v + w x p.
 
@@ -84,6 +92,7 @@ def velocities(points: Float[Array, "3 N"], twist: Float[Array, "6"]) -> Float[A
     return twist[:3, None] + jnp.cross(twist[3:, None], points, axis=0)
 
 
+@checked
 def carried(
     points: Float[Array, "3 N"], twist: Float[Array, "6"], times: Float[Array, " N"]
 ) -> Float[Array, "3 N"]:
@@ -101,6 +110,7 @@ def carried(
     return points + times[None] * (first + times[None] / 2 * second)
 
 
+@checked
 def turned(
     directions: Float[Array, "3 N"], twist: Float[Array, "6"], times: Float[Array, " N"]
 ) -> Float[Array, "3 N"]:

@@ -8,6 +8,9 @@ from sfgs_jax.geometry import Frame, se3
 from sfgs_jax.sensors import block_means, brightness_change
 from sfgs_jax.slam.state import SlamState
 
+_BRIGHTEST = 1e6
+"""Of a colour; those of a recording end at 1."""
+
 
 def look_of(
     state: SlamState, frame: Frame, keyframe: int, T_keyframe_cam: jaxlie.SE3
@@ -21,6 +24,8 @@ def look_of(
         T_keyframe_cam: its pose there.
     """
     log, look = state.log, block_means(np.asarray(frame.rgb))
+    # Colours that are not finite, or negative, have no brightness.
+    look = np.clip(np.nan_to_num(look, posinf=0.0), 0, _BRIGHTEST)
     if not len(log.timestamps) or not state.config.mapping.optimisation.estimate_exposure:
         return look, np.zeros(3, np.float32)
     keyframes = [int(log.keyframes[-1]), keyframe]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.slam.frontend import with_depth_parameters
 from sfgs_jax.slam.keyframes import advance_graph, rectified_anew, settled
 from sfgs_jax.slam.mapping import follow_keyframes
@@ -23,6 +24,7 @@ def with_graph(state: SlamState, graph: KeyframeGraph) -> SlamState:
     return replace(state, graph=graph, tracker=tracker, params=params)
 
 
+@checked
 def finish(state: SlamState) -> SlamState:
     """The state at the end of a run: all waiting pairs of keyframes registered, the keyframes adjusted.
 

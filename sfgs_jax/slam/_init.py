@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sfgs_jax.arrays import checked_but
 from sfgs_jax.geometry import Camera, require_camera
 from sfgs_jax.sensors import SensorModel, block_means
 from sfgs_jax.slam.config import SlamConfig
@@ -20,6 +21,7 @@ from sfgs_jax.slam.state import (
 )
 
 
+@checked_but("camera")
 def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel | None = None) -> SlamState:
     """The state before the first frame, whose camera will be the world frame.
 

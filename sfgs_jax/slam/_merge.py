@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry import same_camera
 from sfgs_jax.slam._graph_results import finish, with_graph
 from sfgs_jax.slam._new_session import lost, same_but_refinement
@@ -23,6 +23,7 @@ from sfgs_jax.slam.mapping import follow_keyframes, follow_trajectory, joined_vi
 from sfgs_jax.slam.state import FrameLog, SlamState, shift_of_numbers, trajectory_of
 
 
+@checked
 def merge(a: SlamState, b: SlamState) -> SlamState:
     """The state of two runs in the world of the first, once places of the second are recognised in it.
 

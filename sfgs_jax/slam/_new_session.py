@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry import HELD_OUT_EVERY
 from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam.config import SlamConfig
@@ -14,6 +14,7 @@ from sfgs_jax.slam.frontend import without_pose
 from sfgs_jax.slam.state import SlamState, Tracker, empty_log, empty_synchrony
 
 
+@checked
 def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState:
     """The state before the first frame of another recording by the same camera, in the same place.
 

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sfgs_jax.geometry import Frame, se3, warn_unless_metres
+from sfgs_jax.arrays import checked_but
+from sfgs_jax.geometry import Frame, se3, warn_unless_metres, warn_unless_unit_colours
 from sfgs_jax.slam._found_frame import find_pose
 from sfgs_jax.slam._frame_brightness import look_of
 from sfgs_jax.slam._frame_check import check_frame
@@ -43,6 +44,7 @@ class Followed(NamedTuple):
     view: View | None
 
 
+@checked_but("frame")
 def step(
     state: SlamState, frame: Frame, *, number: int | None = None, stages: Stages = untimed
 ) -> tuple[SlamState, StepInfo]:
@@ -51,8 +53,8 @@ def step(
     The work is done by compiled functions; the first frames of an image size wait for their compilation, or
     `warm_up` does it before. It runs on the host; inside `jit`, `scan` or `vmap` use `track`.
 
-    Warns if the first frame's depth is not in metres by its median, and if depth contradicts colour or the
-    frames before; then frames are lost.
+    Warns if the first frame's depth is not in metres by its median or its colours are not in [0, 1], and if
+    depth contradicts colour or the frames before; then frames are lost.
 
     Args:
         state: the run so far, from `init` or an earlier step.
@@ -66,6 +68,7 @@ def step(
     """
     if isinstance(frame, Frame) and not len(state.log.timestamps):
         warn_unless_metres(frame.depth)
+        warn_unless_unit_colours(frame.rgb)
     state, info, view = follow(state, frame, number=number, stages=stages)
     if info.contradiction:
         warnings.warn(info.contradiction, stacklevel=2)
@@ -75,6 +78,7 @@ def step(
     return replace(state, mapping=mapping), info._replace(loss=loss)
 
 
+@checked_but("frame")
 def follow(
     state: SlamState, frame: Frame, *, number: int | None = None, stages: Stages = untimed
 ) -> Followed:

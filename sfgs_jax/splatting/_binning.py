@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import prefix_sums
+from sfgs_jax.arrays import checked, prefix_sums
 from sfgs_jax.splatting._projection import Projected
 from sfgs_jax.splatting._sorting import sort_by_tile_and_depth
 from sfgs_jax.splatting._thresholds import MIN_ALPHA
@@ -41,6 +41,7 @@ def tile_grid(width: int, height: int, tile_size: int) -> tuple[int, int]:
     return -(-width // tile_size), -(-height // tile_size)
 
 
+@checked
 def bin_into_tiles(
     projected: Projected,
     *,

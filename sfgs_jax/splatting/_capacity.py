@@ -1,12 +1,13 @@
 """Room that a view needs for its (tile, Gaussian) pairs, found on the host before rendering it."""
 
+import math
 from functools import partial
 
 import jax
 import jaxlie
 from jaxtyping import Array, Int
 
-from sfgs_jax.arrays import bucket
+from sfgs_jax.arrays import InputError, bucket, checked_but
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.splatting._binning import count_pairs, count_rows
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
@@ -17,6 +18,7 @@ _SMALLEST = 1024
 """Least capacity."""
 
 
+@checked_but("gaussians", "camera", "T_world_cam")
 def pair_capacity(
     gaussians: Gaussians,
     camera: Camera,
@@ -39,9 +41,13 @@ def pair_capacity(
         few programs.
 
     Raises:
-        InputError: an argument is of another type, or the pose is none.
+        InputError: an argument is of another type, the pose is none, or the headroom is below 0 or infinite.
     """
     require_scene(gaussians, camera)
+    if not 0 <= headroom < math.inf:
+        raise InputError(
+            f"headroom of pair_capacity should be a finite factor of at least 0, not {headroom}."
+        )
     pose = se3.as_se3(T_world_cam, name="T_world_cam")
     if gaussians.means.shape[0] == 0:
         return _room(0)

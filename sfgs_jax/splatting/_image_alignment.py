@@ -18,7 +18,7 @@ import jaxlie
 from jax.lax import Precision
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import masked_median
+from sfgs_jax.arrays import checked, masked_median
 from sfgs_jax.geometry import Camera, downscale_depth, kernel_weight, se3
 from sfgs_jax.splatting._rendering import RenderOutput
 
@@ -87,6 +87,7 @@ class _Estimate(eqx.Module):
     inliers: Float[Array, ""]
 
 
+@checked
 @partial(jax.jit, static_argnames="levels")
 def align_image(
     rgb: Float[Array, "H W 3"],

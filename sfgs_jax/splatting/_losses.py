@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sfgs_jax.arrays import checked
+
 _RADIUS = 5
 """Pixels from the centre of an SSIM window to its border."""
 
@@ -25,6 +27,7 @@ _STRIP = 32
 """Rows that SSIM works on at a time."""
 
 
+@checked
 def l1(
     a: Float[Array, "H W *c"], b: Float[Array, "H W *c"], mask: Bool[Array, "H W"] | None = None
 ) -> Float[Array, ""]:
@@ -43,6 +46,7 @@ def l1(
     return _mean(jnp.abs(a - b), mask)
 
 
+@checked
 def ssim(
     a: Float[Array, "H W *c"], b: Float[Array, "H W *c"], mask: Bool[Array, "H W"] | None = None
 ) -> Float[Array, ""]:

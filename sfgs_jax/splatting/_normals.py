@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import dot
+from sfgs_jax.arrays import checked, dot
 from sfgs_jax.geometry import se3
 from sfgs_jax.splatting._gaussians import Gaussians
 from sfgs_jax.splatting._projection import rotation_columns
 
 
+@checked
 def camera_normals(gaussians: Gaussians, T_world_cam: se3.Pose) -> Float[Array, "n 3"]:
     """Unit normals of the Gaussians in camera axes: the shortest axis of each, turned towards the camera.
 
@@ -47,6 +48,7 @@ def _camera_normals(gaussians: Gaussians, T_world_cam: jaxlie.SE3) -> Float[Arra
     return jnp.stack(in_camera, axis=-1)
 
 
+@checked
 @partial(jax.jit, static_argnames="least")
 def unit_normals(composited: Float[Array, "h w 3"], *, least: float = 1e-3) -> Float[Array, "h w 3"]:
     """An image of normals of length 1 from composited normals.

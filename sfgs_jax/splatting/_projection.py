@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Bool, Float
 
-from sfgs_jax.arrays import dot, map_used_rows
+from sfgs_jax.arrays import checked, dot, map_used_rows
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter, carried, row_places
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
@@ -64,6 +64,7 @@ class Projected(eqx.Module):
     inverse_depth_slopes: Float[Array, "n 2"] | None = None
 
 
+@checked
 def project(
     gaussians: Gaussians,
     camera: Camera,

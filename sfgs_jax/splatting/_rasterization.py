@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.splatting._binning import TileLists, bin_into_tiles, tile_grid
 from sfgs_jax.splatting._compositing import composite
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
@@ -34,6 +34,7 @@ class Raster(eqx.Module):
     overflow: Int[Array, ""]
 
 
+@checked
 def rasterize(
     projected: Projected,
     features: Float[Array, "n c"],

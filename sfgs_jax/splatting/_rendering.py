@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked_but
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
@@ -47,6 +47,7 @@ class RenderOutput(eqx.Module):
     surface_depth: Float[Array, "h w"] | None = None
 
 
+@checked_but("gaussians", "camera", "T_world_cam")
 def render(
     gaussians: Gaussians,
     camera: Camera,

@@ -4,12 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import ordered_bits, sort_packed
+from sfgs_jax.arrays import checked, ordered_bits, sort_packed
 
 _DEPTH_BITS = 31
 """Bits of a float32 without its sign."""
 
 
+@checked
 def sort_by_tile_and_depth(
     tiles: Int[Array, " p"],
     depths: Float[Array, " p"],

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 
 Values = TypeVar("Values", Array, np.ndarray)
 
@@ -28,11 +28,13 @@ _C3 = (
 )
 
 
+@checked
 def rgb_to_sh(rgb: Float[Values, "*n 3"]) -> Float[Values, "*n 3"]:
     """Coefficients of degree 0 whose colour is `rgb` from everywhere."""
     return (rgb - 0.5) / _C0
 
 
+@checked
 def sh_to_rgb(sh: Float[Values, "*n 3"]) -> Float[Values, "*n 3"]:
     """RGB, not clipped, of coefficients of degree 0: the inverse of `rgb_to_sh`."""
     return 0.5 + _C0 * sh

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.superfeats.network import CELL
 
 _TINY = 1e-12
@@ -15,6 +16,7 @@ def to_cells(pixels: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
     return (pixels - (CELL - 1) / 2) / CELL
 
 
+@checked
 def sample(cells: Float[Array, "h w c"], pixels: Float[Array, "n 2"]) -> Float[Array, "n c"]:
     """Bilinear interpolation of a map of cells; outside, the border's values go on.
 
@@ -37,6 +39,7 @@ def sample(cells: Float[Array, "h w c"], pixels: Float[Array, "n 2"]) -> Float[A
     return upper * (1 - y) + lower * y
 
 
+@checked
 def unit(x: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
     """Vectors scaled to unit length; zero stays zero."""
     return x * jax.lax.rsqrt(jnp.square(x).sum(-1, keepdims=True) + _TINY)

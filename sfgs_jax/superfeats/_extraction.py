@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Num
 
-from sfgs_jax.arrays import InputError, described, is_array
+from sfgs_jax.arrays import InputError, checked, checked_but, described, is_array
 from sfgs_jax.superfeats._descriptors import sample, unit
 from sfgs_jax.superfeats._features import Features
 from sfgs_jax.superfeats.detection import MIN_HEAT, detect
 from sfgs_jax.superfeats.network import STRIDE, Network, branches, linear, normalise
 
 
+@checked_but("image")
 def extract(
     params: Network,
     image: Num[Array | np.ndarray, "h w"] | Num[Array | np.ndarray, "h w 3"],
@@ -62,6 +63,7 @@ def extract(
     return _extract(params, image, np.asarray(min_heat, image.dtype), max_keypoints=max_keypoints)
 
 
+@checked
 def mean_grey(image: Num[Array | np.ndarray, "h w 3"]) -> Float[Array | np.ndarray, "h w"]:
     """Mean of the channels. An image on the host is averaged there, so that a third is left to transfer."""
     if not isinstance(image, np.ndarray):

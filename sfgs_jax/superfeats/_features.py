@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import Text, printed_count, printed_fields
+from sfgs_jax.arrays import Text, checked, printed_count, printed_fields, require_least
 
 
 class Features(eqx.Module):
@@ -44,6 +44,7 @@ class Matches(eqx.Module):
         return printed_fields("Matches", valid=Text(printed_count(self.valid)))
 
 
+@checked
 def pack_features(
     keypoints: Float[np.ndarray, "n 2"],
     scores: Float[np.ndarray, " n"],
@@ -60,7 +61,11 @@ def pack_features(
         scores: (n,) higher is better.
         descriptors: (n, d) of unit length.
         capacity: slots of the result, K.
+
+    Raises:
+        InputError: the capacity is negative.
     """
+    require_least(capacity, 0, "capacity of pack_features")
     best = np.argsort(-scores, kind="stable")[:capacity]
 
     def fill(values: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Scalar
 
-from sfgs_jax.arrays import InputError, described
+from sfgs_jax.arrays import InputError, checked_but, described
 from sfgs_jax.superfeats._descriptors import cosines
 from sfgs_jax.superfeats._features import Features, Matches
 
@@ -37,6 +37,7 @@ class Expected(eqx.Module):
     penalty: float | Scalar
 
 
+@checked_but("a", "b")
 def match(
     a: Features,
     b: Features,

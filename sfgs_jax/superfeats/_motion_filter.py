@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import check_counts, check_range
+from sfgs_jax.arrays import check_counts, check_range, checked
 from sfgs_jax.superfeats._features import Features, Matches
 from sfgs_jax.superfeats._matching import (
     MIN_SIMILARITY,
@@ -52,6 +52,7 @@ class MotionFilterConfig:
         check_range(self, 0, 1, "min_share", "min_similarity")
 
 
+@checked
 def filter_by_motion(
     a: Features, b: Features, matches: Matches, *, config: MotionFilterConfig | None = None
 ) -> Matches:

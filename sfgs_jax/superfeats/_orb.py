@@ -4,12 +4,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.arrays import checked, require_least
 from sfgs_jax.superfeats._features import Features, pack_features
 
 _SCALE = 1.2
 """From one level of the pyramid to the next."""
 
 
+@checked
 def extract_orb(
     image: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w 3"], *, max_keypoints: int = 1024
 ) -> Features:
@@ -22,8 +24,12 @@ def extract_orb(
         image: grey (H, W) or RGB (H, W, 3), in [0, 1].
         max_keypoints: slots of the result; an image without corners leaves all of them empty.
 
+    Raises:
+        InputError: the number of slots is negative.
+
     Source: Rublee et al., ORB: an efficient alternative to SIFT or SURF, ICCV 2011.
     """
+    require_least(max_keypoints, 0, "max_keypoints of extract_orb")
     scaled = np.clip(np.rint(np.asarray(image, np.float32) * 255), 0, 255).astype(np.uint8)
     grey = cv2.cvtColor(scaled, cv2.COLOR_RGB2GRAY) if scaled.ndim == 3 else scaled
     found, bits = cv2.ORB.create(nfeatures=max_keypoints, scaleFactor=_SCALE).detectAndCompute(grey, None)

@@ -1,6 +1,5 @@
 """The files of a finished run, or a map by itself, for the viewer."""
 
-import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import FrameError, InputError, excerpt
+from sfgs_jax.arrays import FrameError, InputError, excerpt, file_text, parsed_json
 from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
 from sfgs_jax.evaluation import PosedFrames, posed_frames
 from sfgs_jax.geometry import Camera, Frame, Trajectory, read_covariances, read_tum
@@ -158,7 +157,7 @@ def _camera(path: Path, notes: list[str]) -> Camera | None:
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text())
+        content = parsed_json(file_text(path))
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path}: {excerpt(error)}.") from error
     return content if isinstance(content, dict) else {}

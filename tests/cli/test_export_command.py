@@ -1,5 +1,6 @@
 """`sfgs-jax export` writes a map for other programs, and says in one sentence why it can't."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,6 +49,13 @@ def test_a_map_file_becomes_a_point_cloud_of_its_opaque_gaussians(run_folder, tm
     cloud = trimesh.load(out, file_type="ply")
     assert isinstance(cloud, trimesh.PointCloud)
     np.testing.assert_array_equal(cloud.vertices, np.asarray(load_ply(source).means)[kept])
+
+
+def test_a_name_that_is_no_text_can_be_shown(run_folder, tmp_path, capsys):
+    out = tmp_path / os.fsdecode(b"a\xff.splat")
+    assert main(["export", str(run_folder), str(out)]) == 0
+    assert out.is_file()
+    assert "a\\udcff.splat" in capsys.readouterr().out
 
 
 def test_the_format_can_be_named_and_a_file_replaced(run_folder, tmp_path):

@@ -49,6 +49,8 @@ def test_synthetic_source():
     assert isinstance(recording, Recording)
     assert (recording.dataset, len(recording), recording.camera.shape) == ("synthetic", 5, (60, 80))
     assert len(open_recording("synthetic")) == 120
+    with pytest.raises(InputError, match="is no synthetic recording"):
+        open_recording("/dev/zero", dataset="synthetic")
     for source in ("synthetic:frame=5", "synthetic:frames", "synthetic:frames=a", "synthetic:frames=0"):
         with pytest.raises(InputError, match="synthetic"):
             open_recording(source)

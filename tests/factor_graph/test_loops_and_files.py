@@ -136,8 +136,8 @@ def test_g2o_files_come_back(tmp_path, rng):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1", "line 2 .* EDGE_SE2 is not one of"),
-        ("VERTEX_SE2 1 0 0 0", "line 2 .* VERTEX_SE2 is not one of .* 3-D poses"),
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1", "line 2 .* .EDGE_SE2. is not one of"),
+        ("VERTEX_SE2 1 0 0 0", "line 2 .* .VERTEX_SE2. is not one of .* 3-D poses"),
         ("\x00\xff\xfe", "line 2 .* is not one of"),
         ("EDGE_SE3:QUAT 0 1 1 0 0", "line 2 .* needs other numbers"),
         ("FIX 7", "no VERTEX_SE3:QUAT line for vertex 7"),

@@ -31,6 +31,8 @@ def test_the_filter_removes_the_shake_and_keeps_the_way(rng):
 def test_no_filter_leaves_a_trajectory_as_it_is():
     trajectory = Trajectory(np.arange(3.0), np.tile(np.eye(4), (3, 1, 1)))
     assert smoothed(trajectory, 0.0) is trajectory
+    with pytest.raises(InputError, match="at most 100000"):
+        smoothed(Trajectory(np.arange(2.0), np.tile(np.eye(4), (2, 1, 1))), 1e20)
     with pytest.raises(InputError, match="number from 0, not -1"):
         smoothed(trajectory, -1.0)
 

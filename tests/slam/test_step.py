@@ -247,6 +247,21 @@ def test_missing_depth_in_any_disguise_is_missing(room, frames, config):
     np.testing.assert_array_equal(a.T_world_cam.wxyz_xyz, b.T_world_cam.wxyz_xyz)
 
 
+def test_no_value_of_a_frame_spoils_poses_or_map(room, frames, config):
+    rgb, depth = np.asarray(frames[0].rgb), np.asarray(frames[0].depth)
+    images = [(rgb * factor, depth) for factor in (np.nan, np.inf, -1, 1e30, 255)]
+    images += [(rgb, depth * np.float32(factor)) for factor in (1e-30, 1e30)]
+    images += [(rgb, np.full_like(depth, value)) for value in (3.4e38, 1e-40)]
+    for pair in images:
+        with pytest.warns(UserWarning, match=r"colours are (not finite|between)|median depth is"):
+            state, _ = slam.step(slam.init(room.camera, config), Frame(*pair, frames[0].timestamp))
+        state, _ = slam.step(state, frames[1])
+        state, _ = slam.step(state, Frame(*pair, frames[2].timestamp))
+        state, info = slam.step(state, frames[3])
+        for leaf in jax.tree.leaves((info.T_world_cam, state.last_look, state.gaussians)):
+            assert np.isfinite(np.asarray(leaf)).all()
+
+
 def test_a_frame_of_another_size_is_refused(room, frames, config):
     state = slam.init(room.camera, config)
     with pytest.raises(InputError, match="one size"):

@@ -8,10 +8,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from sfgs_jax.arrays import FrameError, InputError, excerpt
+from sfgs_jax.arrays import FrameError, InputError, excerpt, require_file
 
 _LONGEST_NAME = 255
 """Characters of a topic's name."""
+_LARGEST = {".yaml": 1 << 24, **dict.fromkeys((".mcap", ".db3", ".zstd"), 1 << 62)}
+"""Bytes of the files of a ROS 2 bag, by suffix."""
 
 
 class Bag:
@@ -40,6 +42,10 @@ class Bag:
         except ImportError as error:
             raise InputError(f"{path} is a bag of ROS; pip install 'sfgs-jax[rosbag]' to read it.") from error
         try:
+            # The package waits for what a pipe may bring, and takes minutes for metadata of a gigabyte.
+            for file in path.iterdir() if path.is_dir() else ():
+                if file.suffix in _LARGEST:
+                    require_file(file, _LARGEST[file.suffix])
             self.topics = {
                 connection.topic: connection.msgtype
                 for connection in self._reader().connections

@@ -1,13 +1,12 @@
 """camera.json: the intrinsics that users write for their own recordings."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, parsed_json, printable
 from sfgs_jax.datasets.files._pose_files import read_text
 from sfgs_jax.geometry import Camera
 from sfgs_jax.sensors import Undistortion
@@ -151,8 +150,8 @@ def read_camera_json(path: Path) -> Intrinsics:
         InputError: the file can't be read, isn't JSON, or lacks a number.
     """
     try:
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
+        content = parsed_json(read_text(path))
+    except ValueError as error:
         raise InputError(
             f"{path} is not valid JSON ({excerpt(error)}); it should look like {CAMERA_EXAMPLE}."
         ) from error
@@ -168,10 +167,13 @@ def read_camera_json(path: Path) -> Intrinsics:
         value = content[key]
         if isinstance(value, bool) or not isinstance(value, int | float) or not 1e-6 < value < 1e9:
             raise InputError(f"{path}: {key} must be a positive number, not {excerpt(value)}.")
+        if key in ("width", "height") and value != int(value):
+            raise InputError(f"{path}: {key} must be a whole number of pixels, not {excerpt(value)}.")
         values[key] = float(value)
     distortion = _distortion(content.get("distortion", []), path)
     unknown = sorted(set(content) - {*_NUMBERS, "distortion"})
-    notes = (f"{path} has entries that are not used: {', '.join(unknown)[:100]}.",) if unknown else ()
+    listed = printable(", ".join(unknown)[:100])
+    notes = (f"{path} has entries that are not used: {listed}.",) if unknown else ()
     width, height = (int(values[key]) if key in values else None for key in ("width", "height"))
     return Intrinsics(
         fx=values["fx"],
@@ -189,7 +191,9 @@ def read_camera_json(path: Path) -> Intrinsics:
 
 def _distortion(value: object, path: Path) -> tuple[float, ...]:
     coefficients = value if isinstance(value, list) else [value]
-    numbers = [x for x in coefficients if isinstance(x, int | float) and -1e6 < x < 1e6]
+    numbers = [
+        x for x in coefficients if isinstance(x, int | float) and not isinstance(x, bool) and -1e6 < x < 1e6
+    ]
     if value != [] and (len(numbers) != len(coefficients) or len(numbers) not in _DISTORTION_COUNTS):
         raise InputError(
             f"{path}: distortion must be a list of 4, 5 or 8 numbers (k1, k2, p1, p2, ...), "

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, file_bytes
 from sfgs_jax.datasets.files._camera_files import Intrinsics
 from sfgs_jax.datasets.files._pose_files import inverse_poses, quaternion_poses, read_text
 
@@ -134,7 +134,7 @@ def _text_images(path: Path) -> list[_Image]:
 def _binary(path: Path, read_one: Callable[["_Bytes", Path], _T]) -> list[_T]:
     """The entries of a binary file: their number, then one after the other."""
     try:
-        data = _Bytes(path.read_bytes())
+        data = _Bytes(file_bytes(path))
         (count,) = data.unpack("<Q")
         # A count beyond the file's length ends at the file's end, before anything of its size is made.
         return [read_one(data, path) for _ in range(count)]

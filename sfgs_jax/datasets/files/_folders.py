@@ -5,6 +5,9 @@ from pathlib import Path
 
 from sfgs_jax.arrays import InputError
 
+_MOST_DIGITS = 255
+"""No name of a file is longer, but a list may hold anything, and Python reads no number of 5000 digits."""
+
 
 def images_in(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Visible files of a folder, in natural order (2 before 10).
@@ -26,7 +29,9 @@ def images_in(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
 def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
     """Sort key that takes runs of digits as numbers."""
     return tuple(
-        (0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", name) if part
+        (0, int(part)) if part.isdecimal() and len(part) <= _MOST_DIGITS else (1, part)
+        for part in re.split(r"(\d+)", name)
+        if part
     )
 
 

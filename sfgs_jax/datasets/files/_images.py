@@ -1,7 +1,6 @@
 """Images: decoding colour and depth to float32, and depth back to 16-bit units."""
 
 import io
-import stat
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -9,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8, UInt16
 
-from sfgs_jax.arrays import FrameError, excerpt
+from sfgs_jax.arrays import FrameError, excerpt, file_bytes, require_file
 
 COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 """Endings of colour images."""
@@ -22,7 +21,7 @@ _SATURATED = 65535
 # Larger than the images of any RGB-D camera. A damaged header may ask for more memory than there is.
 MOST_PIXELS = 1 << 26
 """Pixels of the largest image that is read."""
-_MOST_BYTES = 1 << 30
+_MOST_BYTES = 1 << 29
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")
 # Metres, which no camera sees. It is far above depth in a wrong unit, for which there is a note.
 _FARTHEST = 1e6
@@ -173,8 +172,7 @@ def read_levels(path: Path) -> UInt8[np.ndarray, "h w"]:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        _require_file(path)
-        return path.read_bytes()
+        return file_bytes(path, _MOST_BYTES)
     except (OSError, ValueError) as error:
         raise FrameError(f"{path} cannot be read: {excerpt(error)}.") from error
 
@@ -182,25 +180,13 @@ def _read_bytes(path: Path) -> bytes:
 def _mapped_array(path: Path) -> np.ndarray:
     """The array of a .npy file, mapped into memory: a header that promises more than the file is refused."""
     try:
-        _require_file(path)
+        require_file(path, _MOST_BYTES)
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # NumPy's reader raises whatever a broken header trips
         raise FrameError(f"{path} cannot be read as an array: {excerpt(error)}.") from error
     if not isinstance(array, np.ndarray):
         raise FrameError(f"{path} is an archive; save each depth image as an array of its own.")
     return array
-
-
-def _require_file(path: Path) -> None:
-    """Raise OSError or ValueError unless a path is a file of a size that an image may have.
-
-    A pipe would wait for ever, and a device has no end.
-    """
-    found = path.stat()
-    if not stat.S_ISREG(found.st_mode):
-        raise ValueError("it is no regular file")
-    if found.st_size > _MOST_BYTES:
-        raise ValueError(f"it has {found.st_size} bytes, more than an image can need")
 
 
 def _decode(data: bytes, flags: int, name: str) -> Shaped[np.ndarray, "h w *channels"]:

@@ -1,11 +1,10 @@
 """Files that a list or a JSON file of a recording names."""
 
-import json
 import os
 from pathlib import Path
 from typing import Any
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, parsed_json
 from sfgs_jax.datasets.files._pose_files import read_text
 
 # Bytes; the limit of every usual file system.
@@ -15,9 +14,8 @@ _LONGEST_NAME = 255
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a JSON file. Raises InputError if it can't be read or holds something else."""
     try:
-        # Not only JSONDecodeError: numbers of thousands of digits are a ValueError.
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
+        content = parsed_json(read_text(path))
+    except ValueError as error:
         raise InputError(f"{path} is not valid JSON ({excerpt(error)}).") from error
     if not isinstance(content, dict):
         raise InputError(f"{path} should hold one JSON object.")
@@ -38,11 +36,16 @@ def listed_file(folder: Path, name: str, source: Path | str) -> Path:
         InputError: the name leads outside the folder, is the folder's, or is longer than names can be.
     """
     relative = os.path.normpath(name)
-    outside = (
-        max(map(len, os.fsencode(relative.replace("\0", "")).split(b"/"))) > _LONGEST_NAME
-        or os.path.isabs(relative)
-        or relative.split(os.sep)[0] in (os.curdir, os.pardir)
-    )
-    if outside or "\0" in relative:
+    outside = os.path.isabs(relative) or relative.split(os.sep)[0] in (os.curdir, os.pardir)
+    if outside or not _is_possible(relative):
         raise InputError(f"{source} names {excerpt(name)}, which lies outside {folder}, or is no file.")
     return folder / relative
+
+
+def _is_possible(name: str) -> bool:
+    """Whether a file system can have a name: JSON can write half of a character, and zeros."""
+    try:
+        parts = os.fsencode(name).split(b"/")
+    except UnicodeEncodeError:
+        return False
+    return "\0" not in name and max(map(len, parts)) <= _LONGEST_NAME

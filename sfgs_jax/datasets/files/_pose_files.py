@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, file_text
 from sfgs_jax.geometry import Trajectory, parse_tum, rotations_from_quaternions
 
 # Files keep few digits, so the singular values of a rotation are off by some 1e-3.
@@ -21,7 +21,7 @@ _LEAST_QUATERNION = 1e-6
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8. Raises InputError if it can't be read."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return file_text(path)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path}: {excerpt(error)}.") from error
 
@@ -128,10 +128,12 @@ def rigid_poses(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]
     """Poses with orthonormal rotations (by SVD); NaN for those that aren't finite rigid motions."""
     poses = np.asarray(poses, np.float64)
     finite = np.asarray((np.abs(poses) < _FARTHEST).all(axis=(1, 2)))
+    finite &= (np.abs(poses[:, 3] - [0, 0, 0, 1]) < _RIGID_TOLERANCE).all(axis=1)
     u, s, vt = np.linalg.svd(np.where(finite[:, None, None], poses, np.eye(4))[:, :3, :3])
     rigid = finite & np.all(np.abs(s - 1) < _RIGID_TOLERANCE, axis=1) & (np.linalg.det(u @ vt) > 0)
     result = np.full_like(poses, np.nan)
     result[rigid] = poses[rigid]
+    result[rigid, 3] = 0, 0, 0, 1
     result[rigid, :3, :3] = (u @ vt)[rigid]
     return result
 

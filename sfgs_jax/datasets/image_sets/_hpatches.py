@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.datasets.files import read_numbers
 from sfgs_jax.datasets.image_sets._image_pairs import HomographyPair
 
@@ -29,6 +29,7 @@ _GROUPS = {"i": "illumination", "v": "viewpoint"}
 _OTHERS = range(2, 7)
 
 
+@checked
 def read_hpatches(folder: str | Path, *, exclude: Sequence[str] = ()) -> list[HomographyPair]:
     """The pairs (1, 2) to (1, 6) of every sequence of `hpatches-sequences-release`.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.datasets.files import COLOUR_SUFFIXES, decode_colour, images_in, natural_key
 
 
@@ -66,6 +66,7 @@ PHOTO_LAYOUTS = tuple(_LAYOUTS)
 """Names of the layouts, the possible values of `layout`."""
 
 
+@checked
 def read_photos(folder: str | Path, *, layout: str = "folder") -> Photos:
     """Photographs of COCO's or MegaDepth's training set, or of any folder, always in the same order.
 

@@ -1,12 +1,11 @@
 """Calibrated pairs for relative pose: MegaDepth-1500, ScanNet-1500, and any list in their formats."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, described, excerpt
+from sfgs_jax.arrays import InputError, checked, described, excerpt, parsed_json, require_file
 from sfgs_jax.datasets.files import listed_file, read_matrix_file, read_numbers, read_text
 from sfgs_jax.datasets.image_sets._image_pairs import PosePair
 
@@ -16,6 +15,7 @@ _WITH_FLAGS = 2 + 2 + 9 + 9 + 16
 _WITHOUT_FLAGS = (2 + 9 + 9 + 12, 2 + 9 + 9 + 16)
 
 
+@checked
 def read_pair_list(path: str | Path, images: str | Path | None = None) -> list[PosePair]:
     """The pairs of a text file with one pair a line.
 
@@ -36,6 +36,7 @@ def read_pair_list(path: str | Path, images: str | Path | None = None) -> list[P
     return _checked(pairs, path)
 
 
+@checked
 def read_megadepth_1500(folder: str | Path) -> list[PosePair]:
     """MegaDepth-1500 in the layout of glue-factory or of XFeat.
 
@@ -59,6 +60,7 @@ def read_megadepth_1500(folder: str | Path) -> list[PosePair]:
     )
 
 
+@checked
 def read_scannet_1500(folder: str | Path) -> list[PosePair]:
     """ScanNet-1500 in the layout of SuperGlue or of LoFTR; or other pairs in SuperGlue's format.
 
@@ -110,7 +112,7 @@ def _parse(path: Path, number: int, words: list[str], root: Path) -> PosePair:
 
 def _read_json(path: Path, root: Path) -> list[PosePair]:
     try:
-        entries = json.loads(read_text(path))
+        entries = parsed_json(read_text(path))
         pairs = [
             _pair(
                 f"{path}, entry {i}",
@@ -120,7 +122,7 @@ def _read_json(path: Path, root: Path) -> list[PosePair]:
             )
             for i, entry in enumerate(entries)
         ]
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{path} should be a list of objects with pair_names, K0, K1 and T_0to1: {excerpt(error)}."
         ) from error
@@ -129,6 +131,7 @@ def _read_json(path: Path, root: Path) -> list[PosePair]:
 
 def _read_loftr(path: Path, root: Path) -> list[PosePair]:
     try:
+        require_file(path)
         with np.load(path, allow_pickle=False) as archive:
             names = np.asarray(archive["name"])
     except Exception as error:  # NumPy's reader raises whatever a broken archive trips
@@ -166,7 +169,9 @@ def _pair(
     shapes_fit = K_a.shape == K_b.shape == (3, 3) and T_b_a.shape in ((3, 4), (4, 4))
     if not shapes_fit or not all((np.abs(x) < 1e9).all() for x in (K_a, K_b, full)):
         raise InputError(f"{where}: the calibration or the motion is not finite.")
-    if not np.allclose(full[:3, :3] @ full[:3, :3].T, np.eye(3), atol=1e-2) or not full[:3, 3].any():
+    rotation = full[:3, :3]
+    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-2) and np.linalg.det(rotation) > 0
+    if not is_rotation or not full[:3, 3].any():
         raise InputError(f"{where}: the motion should be a rotation and a translation that is not zero.")
     if not all(1e-3 < focal < 1e9 for K in (K_a, K_b) for focal in (K[0, 0], K[1, 1])):
         raise InputError(f"{where}: the focal lengths should be positive, in pixels.")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.datasets._recording import Recording
 
 
@@ -30,6 +30,7 @@ class RecordingPair:
         return self.index_b - self.index_a
 
 
+@checked
 def recording_pairs(
     recording: Recording,
     *,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import FrameError, InputError
+from sfgs_jax.arrays import FrameError, InputError, file_bytes
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     COLOUR_SUFFIXES,
@@ -100,7 +100,7 @@ class ColmapDepth:
     def metres(self, units_per_metre: float | None) -> Float[np.ndarray, "h w"]:
         """Depth in metres, 0 where missing. Raises FrameError if the file is no depth map."""
         try:
-            data = self.path.read_bytes()
+            data = file_bytes(self.path)
             header = data[:_LONGEST_HEADER].split(b"&")
             width, height, channels = (int(word) for word in header[:3])
         except OSError as error:

@@ -5,7 +5,6 @@ float32 in metres and confidence 8 bits, both compressed with LZFSE. Depth is re
 fraction of its size. Quaternions have their real part last. ARKit's cameras have OpenGL's axes.
 """
 
-import json
 import lzma
 import math
 import struct
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from sfgs_jax.arrays import FrameError, InputError, excerpt
+from sfgs_jax.arrays import FrameError, InputError, excerpt, file_bytes, parsed_json
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     FilePair,
@@ -54,7 +53,7 @@ _DAMAGE = (
     RuntimeError,
     EOFError,
     struct.error,
-    UnicodeError,
+    ValueError,
 )
 
 
@@ -114,15 +113,12 @@ class _Members:
     def read(self, name: str, largest: int = _LARGEST_MEMBER) -> bytes:
         """Content of a file of at most `largest` bytes. Raises FrameError if it can't be read."""
         try:
-            if self._archive is not None:
-                size = self._archive.getinfo(name).file_size
-            else:
-                size = (self.source / name).stat().st_size
+            if self._archive is None:
+                return file_bytes(self.source / name, largest)
+            size = self._archive.getinfo(name).file_size
             if size > largest:
-                raise FrameError(f"{self.text(name)} has {size} bytes, more than it can need.")
-            return (
-                self._archive.read(name) if self._archive is not None else (self.source / name).read_bytes()
-            )
+                raise ValueError(f"it has {size} bytes, more than it can need")
+            return self._archive.read(name)
         except KeyError as error:
             raise FrameError(f"{self.text(name)} is missing.") from error
         except _DAMAGE as error:
@@ -154,7 +150,7 @@ class _Metadata:
         """Raises InputError if the metadata is missing or lacks something."""
         path = members.text("metadata")
         try:
-            content = json.loads(members.read("metadata"))
+            content = parsed_json(members.read("metadata"))
             K = _numbers(content["K"], 9)[0]
             width, height = int(content["w"]), int(content["h"])
             poses = _numbers(content.get("poses", []), 7)
@@ -166,14 +162,7 @@ class _Metadata:
                 raise ValueError("frameTimestamps must be finite")
         except FrameError as error:
             raise InputError(str(error)) from error
-        except (
-            RecursionError,
-            OverflowError,
-            KeyError,
-            TypeError,
-            ValueError,
-            IndexError,
-        ) as error:
+        except (OverflowError, KeyError, TypeError, ValueError, IndexError) as error:
             raise InputError(f"{path} does not describe a Record3D capture ({excerpt(error)}).") from error
         check_increasing(times, Path(path))
         if not len(times):

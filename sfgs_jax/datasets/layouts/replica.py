@@ -3,12 +3,11 @@
 Source: Zhu et al., NICE-SLAM, CVPR 2022; the rendered trajectories are iMAP's (Sucar et al., ICCV 2021).
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, parsed_json
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets.files import (
     COLOUR_SUFFIXES,
@@ -71,7 +70,7 @@ def _intrinsics(source: Path, options: ReaderOptions) -> Intrinsics:
 def _read_cam_params(path: Path) -> Intrinsics:
     """NICE-SLAM's own camera file: {"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}}."""
     try:
-        camera = json.loads(read_text(path))["camera"]
+        camera = parsed_json(read_text(path))["camera"]
         return Intrinsics(
             fx=float(camera["fx"]),
             fy=float(camera["fy"]),
@@ -81,7 +80,7 @@ def _read_cam_params(path: Path) -> Intrinsics:
             width=int(camera["w"]),
             height=int(camera["h"]),
         )
-    except (RecursionError, KeyError, TypeError, ValueError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{path} does not hold the camera's w, h, fx, fy, cx, cy and scale ({excerpt(error)}); "
             "correct it, or give a camera.json."

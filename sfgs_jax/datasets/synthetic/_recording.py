@@ -84,9 +84,12 @@ class SyntheticRecording:
         `kinect=1` stands for `KINECT_V1` with noise; `kinect=1,noise=0` leaves the noise out.
 
         Raises:
-            InputError: an unknown name or place, or another value that is no whole number.
+            InputError: it does not begin so, has an unknown name or place, or another value that is no whole
+                number.
         """
-        _, _, text = source.partition(":")
+        kind, _, text = source.partition(":")
+        if kind != "synthetic":
+            raise InputError(f"{excerpt(source)} is no synthetic recording: its name begins with synthetic.")
         values: dict[str, int] = {}
         place = "room"
         for item in filter(None, text.split(",")):

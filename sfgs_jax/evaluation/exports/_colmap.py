@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import write_atomically
+from sfgs_jax.arrays import checked, write_atomically
 from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation._run_folder import PosedFrames
 from sfgs_jax.evaluation.exports._posed_images import written_images
@@ -17,6 +17,7 @@ from sfgs_jax.geometry import Camera, quaternions_from_rotations
 from sfgs_jax.splatting import Gaussians, coloured_points
 
 
+@checked
 def write_colmap(path: Path, recording: Recording, posed: PosedFrames, gaussians: Gaussians) -> int:
     """Write a run as programs read it that begin with COLMAP's model: 3DGS, gsplat, nerfstudio.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import write_atomically
+from sfgs_jax.arrays import checked, write_atomically
 from sfgs_jax.datasets import Recording
 from sfgs_jax.datasets.files import opencv_poses
 from sfgs_jax.evaluation._run_folder import PosedFrames
@@ -22,6 +22,7 @@ from sfgs_jax.splatting import Gaussians, save_points
 _POINTS = "points.ply"
 
 
+@checked
 def write_nerfstudio(path: Path, recording: Recording, posed: PosedFrames, gaussians: Gaussians) -> int:
     """Write a run as nerfstudio and instant-ngp read it.
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation._run_folder import PosedFrames
 from sfgs_jax.evaluation.exports._posed_images import encoded_colour, posed_images
@@ -14,6 +14,7 @@ from sfgs_jax.splatting import Gaussians, coloured_points
 _NAME = "sfgs_jax"
 
 
+@checked
 def write_rerun(path: Path, recording: Recording, posed: PosedFrames, gaussians: Gaussians) -> int:
     """Write a run as an .rrd file, which `rerun FILE` shows along the frames' time.
 

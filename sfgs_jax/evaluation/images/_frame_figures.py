@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, excerpt, file_text
 from sfgs_jax.evaluation.images._image_metrics import PROTOCOLS, Protocol
 
 FRAMES_FILE = "frames.csv"
@@ -97,7 +97,7 @@ def read_frames(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
     if not path.exists():
         return {}
     try:
-        names, *rows = csv.reader(path.read_text(encoding="utf-8-sig").splitlines())
+        names, *rows = csv.reader(file_text(path).splitlines())
         if missing := set(_COLUMNS).difference(names):
             raise ValueError(f"it lacks the column {min(missing)}")
         table = np.asarray([[float(cell or "nan") for cell in row] for row in rows]).reshape(-1, len(names))

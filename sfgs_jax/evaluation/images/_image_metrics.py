@@ -28,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import is_held_out
 from sfgs_jax.splatting import ssim
 
@@ -44,6 +45,7 @@ SPLATAM_EVERY = 5
 _SMALLEST_MSE = 1e-10
 
 
+@checked
 def psnr(a: Float[Array, "*shape"], b: Float[Array, "*shape"]) -> Float[Array, ""]:
     """Peak signal-to-noise ratio of two images, dB; equal images have 100.
 
@@ -92,6 +94,7 @@ def with_exposure_of(
     return jnp.clip(gain * (rendered - means[0]) + means[1], 0, 1)
 
 
+@checked
 @jax.jit
 def psnr_by_protocol(
     rendered: Float[Array, "H W 3"],
@@ -135,6 +138,7 @@ def _mean_where(mask: Bool[Array, "H W"], values: Float[Array, "H W c"]) -> Floa
     return jnp.sum(jnp.where(mask[..., None], values, 0)) / jnp.maximum(count, 1)
 
 
+@checked
 @jax.jit
 def ssim_by_protocol(
     rendered: Float[Array, "H W 3"],
@@ -160,6 +164,7 @@ def ssim_by_protocol(
     }
 
 
+@checked
 def frames_of(
     protocol: Protocol, num_frames: int, keyframes: Int[np.ndarray, " k"]
 ) -> Bool[np.ndarray, " num_frames"]:

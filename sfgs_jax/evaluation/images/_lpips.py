@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import InputError, excerpt
+from sfgs_jax.arrays import InputError, checked, excerpt, require_file
 
 _FILE = "weights/lpips_squeeze_v0.1.npz"
 
@@ -77,12 +77,14 @@ class LpipsWeights(eqx.Module):
     linear: tuple[Float[Array, " _"], ...]
 
 
+@checked
 def default_lpips_path() -> Path:
     """Default path of the weights: under SFGS_DATA, else in `shared` beside the repository."""
     root = os.environ.get("SFGS_DATA")
     return (Path(root) if root else Path(__file__).parents[4] / "shared") / _FILE
 
 
+@checked
 def load_lpips(path: Path | str | None = None) -> LpipsWeights:
     """Read the weights: an npz with `backbone.N...` (torchvision's layout) and `linN.model.1.weight`.
 
@@ -94,9 +96,10 @@ def load_lpips(path: Path | str | None = None) -> LpipsWeights:
     """
     path = default_lpips_path() if path is None else Path(path)
     try:
+        require_file(path)
         with np.load(path) as file:
             return _weights(dict(file))
-    except (OSError, ValueError, KeyError) as error:
+    except Exception as error:  # NumPy's reader raises whatever a broken archive trips
         raise InputError(f"Cannot read the LPIPS weights {path}: {excerpt(error)}.") from error
 
 
@@ -145,6 +148,7 @@ def feature_distance(
     return jnp.mean((unit_length(a) - unit_length(b)) ** 2 @ weights)
 
 
+@checked
 def lpips(weights: LpipsWeights, a: Float[Array, "H W 3"], b: Float[Array, "H W 3"]) -> Float[Array, ""]:
     """Perceptual distance of two images; 0 for equal ones.
 

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 
 
+@checked
 def accuracy(errors: Float[np.ndarray, " n"], thresholds: Sequence[float]) -> Float[np.ndarray, " t"]:
     """Share of the errors below each threshold; an error that is not finite is below none.
 
@@ -21,6 +22,7 @@ def accuracy(errors: Float[np.ndarray, " n"], thresholds: Sequence[float]) -> Fl
     return np.mean(_checked(errors)[:, None] < np.asarray(thresholds), axis=0)
 
 
+@checked
 def area_under_curve(errors: Float[np.ndarray, " n"], thresholds: Sequence[float]) -> Float[np.ndarray, " t"]:
     """Area under the recall curve from 0 to each threshold, as a share of the whole (AUC).
 

@@ -10,12 +10,15 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from sfgs_jax.arrays import checked, require_above_zero, require_least
+
 _CONFIDENCE = 0.9999
 _MAX_ITERATIONS = 5000
 # A homography has eight unknowns.
 _FEWEST = 4
 
 
+@checked
 def transfer(H_b_a: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
     """Places in image b of pixels of image a; infinite for pixels at the horizon or beyond.
 
@@ -28,6 +31,7 @@ def transfer(H_b_a: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]) 
     return np.where(in_front, mapped[:, :2] / np.where(in_front, mapped[:, 2:], 1), np.inf)
 
 
+@checked
 def repeatability(
     keypoints_a: Float[np.ndarray, "n 2"],
     keypoints_b: Float[np.ndarray, "m 2"],
@@ -58,6 +62,7 @@ def repeatability(
     return float((close.any(axis=1).sum() + close.any(axis=0).sum()) / (len(places) + len(others)))
 
 
+@checked
 def correct_matches(
     points_a: Float[np.ndarray, "n 2"],
     points_b: Float[np.ndarray, "n 2"],
@@ -76,6 +81,7 @@ def correct_matches(
     return np.linalg.norm(transfer(H_b_a, points_a) - points_b, axis=1) <= threshold_px
 
 
+@checked
 def matching_score(
     points_a: Float[np.ndarray, "n 2"],
     points_b: Float[np.ndarray, "n 2"],
@@ -107,6 +113,7 @@ def matching_score(
     return float(np.mean([correct / n if n else 0.0 for n in visible]))
 
 
+@checked
 def estimate_homography(
     points_a: Float[np.ndarray, "n 2"],
     points_b: Float[np.ndarray, "n 2"],
@@ -121,10 +128,15 @@ def estimate_homography(
         points_b: their counterparts in image b.
         threshold_px: largest distance in image b of a match that agrees, pixels.
         seed: order in which RANSAC meets the matches; the same seed gives the same homography.
+
+    Raises:
+        InputError: the threshold is not above 0, or the seed is negative.
     """
     if len(points_a) < _FEWEST:
         return None
     # OpenCV's generator always starts alike, so only the order of the matches is random.
+    require_least(seed, 0, "seed of estimate_homography")
+    require_above_zero(threshold_px, "threshold_px of estimate_homography")
     order = np.random.default_rng(seed).permutation(len(points_a))
     a, b = (np.asarray(points, np.float64)[order] for points in (points_a, points_b))
     found, _ = cv2.findHomography(
@@ -133,6 +145,7 @@ def estimate_homography(
     return None if found is None or not np.isfinite(found).all() else np.asarray(found, np.float64)
 
 
+@checked
 def corner_error(
     estimate: Float[np.ndarray, "3 3"] | None, H_b_a: Float[np.ndarray, "3 3"], shape_a: tuple[int, int]
 ) -> float:

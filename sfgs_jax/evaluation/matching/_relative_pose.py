@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from sfgs_jax.arrays import checked, require_above_zero, require_least
+
 _CONFIDENCE = 0.99999
 # The five-point method needs five; with fewer matches there is no motion.
 _FEWEST = 5
@@ -51,6 +53,7 @@ class PoseError:
         return max(self.rotation_deg, self.translation_deg)
 
 
+@checked
 def estimate_motion(
     points_a: Float[np.ndarray, "n 2"],
     points_b: Float[np.ndarray, "n 2"],
@@ -70,10 +73,15 @@ def estimate_motion(
         threshold_px: largest distance from the epipolar line of a match that agrees, in pixels of the mean
             focal length.
         seed: order in which RANSAC meets the matches; the same seed gives the same motion.
+
+    Raises:
+        InputError: the threshold is not above 0, or the seed is negative.
     """
     if len(points_a) < _FEWEST:
         return None
     # OpenCV's generator always starts alike, so only the order of the matches is random.
+    require_least(seed, 0, "seed of estimate_motion")
+    require_above_zero(threshold_px, "threshold_px of estimate_motion")
     order = np.random.default_rng(seed).permutation(len(points_a))
     a, b = (_rays(points, K)[order] for points, K in ((points_a, K_a), (points_b, K_b)))
     focal = float(np.mean([K_a[0, 0], K_a[1, 1], K_b[0, 0], K_b[1, 1]]))
@@ -96,6 +104,7 @@ def estimate_motion(
     return EstimatedMotion(best[1], best[2], inliers)
 
 
+@checked
 def pose_error(estimate: EstimatedMotion | None, T_b_a: Float[np.ndarray, "4 4"]) -> PoseError:
     """Angular errors against the true motion.
 

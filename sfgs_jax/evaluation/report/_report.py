@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.arrays import write_atomically
+from sfgs_jax.arrays import checked, write_atomically
 from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation._run_folder import posed_frames, read_json
 from sfgs_jax.evaluation.images import FRAMES_FILE, read_frames
@@ -33,6 +33,7 @@ _NUM_WORST = 2
 """Worst frames that are shown."""
 
 
+@checked
 def write_report(run_dir: Path, recording: Recording, *, num_views: int = 6) -> Path:
     """Write `report.html` into a run's folder: a single file without any external link.
 

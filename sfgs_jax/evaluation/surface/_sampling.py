@@ -4,10 +4,11 @@ import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked, require_least
 from sfgs_jax.geometry import Camera
 
 
+@checked
 def sample_triangles(
     vertices: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 3"], count: int, *, seed: int = 0
 ) -> Float[np.ndarray, "count 3"]:
@@ -23,14 +24,20 @@ def sample_triangles(
         seed: of the random numbers.
 
     Raises:
-        InputError: there is no triangle with an area.
+        InputError: there is no triangle with an area, or one has a corner that is not there; or the count or
+            the seed is negative.
     """
+    require_least(count, 0, "count of sample_triangles")
+    require_least(seed, 0, "seed of sample_triangles")
+    if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
+        raise InputError(f"triangles of sample_triangles should be indices of its {len(vertices)} vertices.")
     mesh = trimesh.Trimesh(vertices, triangles, process=False)
     if not mesh.area > 0:
         raise InputError(f"A surface of {len(triangles)} triangles without an area can't be sampled.")
     return np.asarray(trimesh.sample.sample_surface(mesh, count, seed=seed)[0], np.float64)
 
 
+@checked
 def seen_points(
     points: Float[np.ndarray, "n 3"],
     depth: Float[np.ndarray, "H W"],

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class SurfaceFigures:
         return 2 * self.precision * self.recall / total if total else 0.0
 
 
+@checked
 def surface_figures(
     found: Float[np.ndarray, "n 3"], reference: Float[np.ndarray, "m 3"], *, threshold: float = 0.05
 ) -> SurfaceFigures:

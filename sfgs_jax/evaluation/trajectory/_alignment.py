@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry import Trajectory
 
 
@@ -31,6 +32,7 @@ class Alignment:
         return Trajectory(trajectory.timestamps, poses)
 
 
+@checked
 def align_points(
     source: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "n 3"], *, with_scale: bool = False
 ) -> Alignment:
@@ -45,7 +47,12 @@ def align_points(
         source: points to be moved, at least one.
         target: their counterparts.
         with_scale: also estimate a scale.
+
+    Raises:
+        InputError: there is no point, or one is not finite.
     """
+    if not len(source) or not (np.isfinite(source).all() and np.isfinite(target).all()):
+        raise InputError("source and target of align_points should be finite points, metres, at least one.")
     mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
     x, y = source - mean_source, target - mean_target
     u, singular_values, vt = np.linalg.svd(y.T @ x / len(x))

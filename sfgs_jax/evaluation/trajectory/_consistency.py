@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
+from sfgs_jax.arrays import InputError, checked, described
 from sfgs_jax.evaluation.trajectory._trajectory_metrics import paired
 from sfgs_jax.geometry import Trajectory, se3
 
@@ -47,6 +48,7 @@ class Nees:
         return float(np.mean(self.squares < chi2.ppf(chi2.cdf(sigmas**2, 1), 6)))
 
 
+@checked
 def nees(
     estimate: Trajectory,
     covariances: Float[np.ndarray, "n 6 6"],
@@ -63,8 +65,13 @@ def nees(
         max_difference_s: limit on the difference of paired time stamps, seconds.
 
     Raises:
-        InputError: fewer than two poses have a reference pose in time.
+        InputError: fewer than two poses have a reference pose in time, or there is not one covariance a pose.
     """
+    if len(covariances) != len(estimate):
+        raise InputError(
+            f"covariances of nees should be (n, 6, 6) for the {len(estimate)} poses, not "
+            f"{described(covariances)}."
+        )
     estimated, true, rows = paired(estimate, reference, max_difference_s, at_least=2)
     origin = estimated.poses[0] @ np.linalg.inv(true.poses[0])
     off = np.linalg.inv(estimated.poses) @ origin @ true.poses

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.datasets import associate
 from sfgs_jax.evaluation.trajectory._alignment import Alignment, align_points
 from sfgs_jax.geometry import Trajectory
@@ -61,6 +61,7 @@ class Rpe:
     delta: int
 
 
+@checked
 def ate(
     estimate: Trajectory,
     reference: Trajectory,
@@ -94,6 +95,7 @@ def ate(
     )
 
 
+@checked
 def rpe(
     estimate: Trajectory, reference: Trajectory, *, delta: int = 1, max_difference_s: float = 0.02
 ) -> Rpe:

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.problem._graph import FactorGraph
 
@@ -10,6 +11,7 @@ Losses = tuple[Float[Array, "..."], ...]
 """Per factor block (N,): robust squared whitened residuals, 0 where masked."""
 
 
+@checked
 def cost(graph: FactorGraph, values: Values) -> Float[Array, ""]:
     """Half the sum of robust squared whitened residuals.
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.factor_graph._values import Values, retract
 from sfgs_jax.factor_graph.problem._graph import FactorGraph
 from sfgs_jax.factor_graph.solver._config import SolverConfig
@@ -21,6 +22,7 @@ from sfgs_jax.factor_graph.solver._schur_complement import landmark_steps, schur
 _Steps = tuple[Float[Array, "P 6"], Float[Array, "L 3"]]
 
 
+@checked
 def solve_implicit(graph: FactorGraph, values: Values, config: SolverConfig | None = None) -> Values:
     """Optimum of a graph, with gradients by every floating array in the graph.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.factor_graph._values import Values, retract
 from sfgs_jax.factor_graph.problem._gauge import restore_gauge
 from sfgs_jax.factor_graph.problem._graph import FactorGraph, check_values
@@ -51,6 +52,7 @@ class _Trial(eqx.Module):
     share: Float[Array, ""]
 
 
+@checked
 def solve(graph: FactorGraph, values: Values, config: SolverConfig | None = None) -> Solution:
     """Values that minimise half the sum of robust squared whitened residuals, near the given ones.
 

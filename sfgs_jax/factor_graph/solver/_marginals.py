@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.problem._graph import FactorGraph, check_values
 from sfgs_jax.factor_graph.solver._linear_solvers import prepare_solve
@@ -30,6 +30,7 @@ class Marginals(eqx.Module):
     landmarks: Float[Array, "m 3 3"]
 
 
+@checked
 def marginal_covariances(
     graph: FactorGraph,
     values: Values,

@@ -17,6 +17,7 @@ import jaxlie
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.factors._factor import Factor, squared_mahalanobis
 from sfgs_jax.factor_graph.factors._pose_factors import PosePrior, RelativePose
@@ -48,6 +49,7 @@ class _Rows(eqx.Module):
     weight: Float[Array, " M"]
 
 
+@checked
 def chordal_start(graph: FactorGraph, values: Values) -> Values:
     """Chordal relaxation: poses near the optimum of relative poses and priors.
 

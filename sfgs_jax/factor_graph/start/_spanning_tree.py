@@ -6,11 +6,13 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.factors._pose_factors import RelativePose
 from sfgs_jax.geometry import quaternions_from_rotations, se3
 
 
+@checked
 def spanning_tree_start(edges: RelativePose, num_poses: int) -> Values:
     """Poses along the minimum spanning tree of the measured motions, weighed by the time that they span.
 

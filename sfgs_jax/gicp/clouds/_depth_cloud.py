@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked_but
 from sfgs_jax.geometry import (
     Camera,
     clean_depth,
@@ -55,6 +55,7 @@ class OrganisedCloud(eqx.Module):
     levels: tuple[OrganisedLevel, ...]
 
 
+@checked_but("depth", "camera")
 def prepare(
     depth: Shaped[Array | np.ndarray, "..."], camera: Camera, *, config: GicpConfig | None = None
 ) -> OrganisedCloud:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sfgs_jax.arrays import InputError, padded, upper_triangles
+from sfgs_jax.arrays import InputError, checked, padded, upper_triangles
 from sfgs_jax.gicp._config import PointsConfig, TargetCovariance
 from sfgs_jax.gicp.clouds._point_cloud import (
     PointCloud,
@@ -21,6 +21,7 @@ from sfgs_jax.gicp.clouds._point_cloud import (
 )
 
 
+@checked
 def prepare_gaussians(
     means: Float[Array | np.ndarray, "N 3"],
     covariances: Float[Array | np.ndarray, "K 3 3"],

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from sfgs_jax.arrays import (
     InputError,
     Symmetric,
+    checked_but,
     described,
     from_upper_triangles,
     is_floating,
@@ -66,6 +67,7 @@ class PointCloud(eqx.Module):
     overflow: Int[Array, ""]
 
 
+@checked_but("points")
 def prepare_points(
     points: Shaped[Array | np.ndarray, "..."],
     *,

@@ -12,7 +12,7 @@ import optimistix
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from sfgs_jax.arrays import InputError, Text, padded, printed_count, printed_fields
+from sfgs_jax.arrays import InputError, Text, checked, padded, printed_count, printed_fields
 from sfgs_jax.geometry import se3
 from sfgs_jax.gicp._centred_frames import CentredFrames
 from sfgs_jax.gicp._exact_products import exact_products
@@ -57,6 +57,7 @@ class RigidResult(eqx.Module):
         )
 
 
+@checked
 def rigid_from_matches(
     source_points: Float[Array | np.ndarray, "N 3"],
     target_points: Float[Array | np.ndarray, "M 3"],

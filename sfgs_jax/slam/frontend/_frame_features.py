@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sfgs_jax import gicp
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry import Camera, Frame, clean_depth
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
@@ -23,6 +23,7 @@ _BLOCK = 4
 """Side of the blocks of pixels that contrast is measured between. Their means have little noise."""
 
 
+@checked
 def tracker_params(
     camera: Camera, config: TrackingConfig, sensors: SensorModel | None = None
 ) -> TrackerParams:
@@ -66,6 +67,7 @@ def _noise(config: TrackingConfig) -> TrackingNoise:
     return TrackingNoise(pixels, inverse_depth, gicp.DistanceNoise(metres, per_square_metre))
 
 
+@checked
 def observe(params: TrackerParams, frame: Frame) -> FrameFeatures:
     """Features of a frame, by one compiled program.
 

@@ -11,6 +11,7 @@ from jax.lax import Precision
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax import gicp
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._depth_scale import depth_scale_change, is_other_scale, is_same_scale
@@ -44,6 +45,7 @@ class Allowed(NamedTuple):
     doubtful_scale: Bool[Array, ""] | bool = False
 
 
+@checked
 def register(
     params: TrackerParams,
     source: FrameFeatures,

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.geometry import Frame
+from sfgs_jax.geometry import Frame, has_depth
 from sfgs_jax.sensors import colour_edges, depth_outlines, outline_agreement
 from sfgs_jax.slam.state._synchrony import EDGE_STEP, FARTHEST_LAG, MAX_OUTLINES, Synchrony
 
@@ -46,8 +46,9 @@ def watched(synchrony: Synchrony, frame: Frame, max_lag: int) -> Synchrony:
         cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_NEAREST)
         for image in (frame.rgb, frame.depth)
     )
-    grey = np.clip(cv2.transform(rgb, np.full((1, 3), 255 / 3)), 0, 255).astype(np.uint8)
-    depth = np.ascontiguousarray(np.where(np.isfinite(depth) & (depth > 0), depth, 0), np.float32)
+    with np.errstate(invalid="ignore"):  # colours that are none show no edges
+        grey = np.clip(cv2.transform(rgb, np.full((1, 3), 255 / 3)), 0, 255).astype(np.uint8)
+    depth = np.ascontiguousarray(np.where(has_depth(depth), depth, 0), np.float32)
     found = depth_outlines(depth)
     found = found[:: max(1, -(-len(found) // MAX_OUTLINES))]
     padded = np.pad(found, ((0, MAX_OUTLINES - len(found)), (0, 0)), constant_values=-1).astype(np.int16)

@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
@@ -63,6 +64,7 @@ class TrackInfo(eqx.Module):
         return self.source != PoseSource.LOST
 
 
+@checked
 def init_tracker(params: TrackerParams) -> Tracker:
     """The tracker before the first frame, whose camera will be the world frame.
 
@@ -74,6 +76,7 @@ def init_tracker(params: TrackerParams) -> Tracker:
     return empty_tracker(features, found, params.config.num_references)
 
 
+@checked
 @jax.jit
 def track(
     params: TrackerParams,
@@ -275,6 +278,7 @@ def _sweep(
     return gicp.Sweep(T_target_before, seconds, estimated_timing(params, tracker)[0])
 
 
+@checked
 @partial(jax.jit, inline=True)
 def estimated_timing(params: TrackerParams, tracker: Tracker) -> tuple[SensorTiming, Float[Array, "3 3"]]:
     """Times of the camera's rows as the frames so far show them, and their covariance in s².

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.slam.frontend._track import track
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
 from sfgs_jax.superfeats import Features
@@ -29,6 +29,7 @@ class TrackedSequence(eqx.Module):
     new_keyframe: Bool[Array, " n"]
 
 
+@checked
 def track_sequence(
     params: TrackerParams,
     tracker: Tracker,

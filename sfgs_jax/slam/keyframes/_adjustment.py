@@ -9,6 +9,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.factor_graph import (
     Capacities,
     FactorGraph,
@@ -73,6 +74,7 @@ class Adjusted(eqx.Module):
     covariances: Float[Array, "W 6 6"]
 
 
+@checked
 @jax.jit
 def adjust(params: TrackerParams, window: Window) -> Adjusted:
     """Poses and landmarks of a window: GICP's registrations and reprojections in one Levenberg-Marquardt.
@@ -108,6 +110,7 @@ def _reprojections(graph: FactorGraph) -> RgbdReprojection:
     return next(f for f in graph.factors if isinstance(f, RgbdReprojection))
 
 
+@checked
 def window_of(
     params: TrackerParams, graph: KeyframeGraph, config: GraphConfig, *, around: int | None = None
 ) -> Window:

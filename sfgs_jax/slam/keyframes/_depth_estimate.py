@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
 from sfgs_jax.slam.frontend import depth_parameters_in_use
@@ -80,6 +81,7 @@ def with_new_depth_parameters(params: TrackerParams, graph: KeyframeGraph) -> Ke
     return replace(graph, depth_parameters=graph.depth.estimate(prior_of(params.config)))
 
 
+@checked
 def estimated_depth(state: SlamState) -> tuple[DepthCorrection, Float[np.ndarray, "G G"]] | None:
     """Correction of depth as the keyframes so far show it, and the covariance of its G parameters.
 

@@ -63,8 +63,8 @@ def _with_room(landmarks: Landmarks, number: int) -> Landmarks:
 def _with_measured(landmarks: Landmarks, number: int, keyframe: Keyframe) -> Landmarks:
     """The landmarks, those without a place where a keyframe measured them."""
     shown, keypoints = keyframe.landmarks, keyframe.features.keypoints
-    new = (shown >= 0) & (np.asarray(keypoints.depth) > 0)
-    new &= landmarks.keyframes[np.maximum(shown, 0)] < 0
+    new = np.flatnonzero((shown >= 0) & (np.asarray(keypoints.depth) > 0))
+    new = new[landmarks.keyframes[shown[new]] < 0]
     keyframes, points = landmarks.keyframes.copy(), landmarks.points.copy()
     keyframes[shown[new]], points[shown[new]] = number, np.asarray(keypoints.points)[new]
     return Landmarks(keyframes, points)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time, fitted_gain, with_gain
 from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
@@ -113,6 +114,7 @@ def seen_by(
     return jnp.asarray(view.rgb, jnp.float32) / 255, depth
 
 
+@checked
 @jax.jit
 def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3) -> MapStep:
     """One step of Adam on the Gaussians that a view sees; a pure function, compiled once per map capacity.

@@ -8,7 +8,16 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.geometry import Camera, Frame, clean_depth, downscale_depth, downscale_rgb, is_held_out, se3
+from sfgs_jax.geometry import (
+    Camera,
+    Frame,
+    clean_depth,
+    downscale_depth,
+    downscale_rgb,
+    has_depth,
+    is_held_out,
+    se3,
+)
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.state._frame_log import FrameLog
 from sfgs_jax.slam.state._map_state import View
@@ -26,7 +35,7 @@ def image_shift(
         camera: intrinsics of both.
     """
     sample = depth[:: max(1, depth.shape[0] // 32), :: max(1, depth.shape[1] // 32)]
-    known = sample[np.isfinite(sample) & (sample > 0)]
+    known = sample[np.asarray(has_depth(sample))]
     distance = float(np.median(known)) if known.size else 1.0
     # `camera.matrix` would run a dozen small programs, and this is done for every frame.
     fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import FrameError, InputError, Text, excerpt, printed_fields, return_free_memory
+from sfgs_jax.arrays import FrameError, InputError, Text, checked, excerpt, printed_fields, return_free_memory
 from sfgs_jax.geometry import Camera, Frame, Trajectory, same_camera
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._graph_results import finish
@@ -173,6 +173,7 @@ class TooManySkipped(InputError):
         self.run = run
 
 
+@checked
 def save_run(run: Run, folder: Path | str) -> None:
     """Write a run, to go on with after `load_run`.
 
@@ -195,6 +196,7 @@ def save_run(run: Run, folder: Path | str) -> None:
     )
 
 
+@checked
 def load_run(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -> Run:
     """A run that was saved; its stopwatch starts anew.
 
@@ -222,6 +224,7 @@ def _ignore(progress: Progress) -> None:
     pass
 
 
+@checked
 def run(
     frames: Frames,
     camera: Camera,
@@ -368,6 +371,7 @@ def _moved(mapping: MapState, state: SlamState) -> MapState:
     return follow_keyframes(mapping, state.graph.poses, state.row_times)
 
 
+@checked
 def refine(run: Run, observer: Observer = _ignore) -> None:
     """Refine the map by its views, for as long as the settings say: what a run does after its last frame.
 

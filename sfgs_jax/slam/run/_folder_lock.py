@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sfgs_jax.arrays import InputError, make_folder
+from sfgs_jax.arrays import InputError, checked, make_folder
 
 
+@checked
 @contextmanager
 def locked_folder(folder: Path, *, make: bool = True) -> Iterator[None]:
     """Hold the folder for this process alone.

@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from sfgs_jax.arrays import InputError, make_folder, remove_unfinished, sync_folder, write_atomically
+from sfgs_jax.arrays import InputError, checked, make_folder, remove_unfinished, sync_folder, write_atomically
 from sfgs_jax.geometry import Camera, format_covariances, format_tum
 from sfgs_jax.sensors import EXPOSURE_FILE, SENSOR_FILE, format_gains
 from sfgs_jax.slam.run._driver import Run
@@ -45,6 +45,7 @@ STORAGE = "state"
 """Folder within the run's own, for what it goes on from after a stop; removed at its end, unless kept."""
 
 
+@checked
 def prepare_folder(folder: Path, *, overwrite: bool) -> None:
     """Make the output folder and make sure, before any work is done, that it can be written.
 
@@ -78,6 +79,7 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
         ) from error
 
 
+@checked
 def resume_folder(folder: Path) -> Path:
     """The folder's storage, for `load_run`; temporary files of a run that was killed are removed.
 
@@ -105,6 +107,7 @@ def resume_folder(folder: Path) -> Path:
     return storage
 
 
+@checked
 def kept_map(folder: Path) -> Path:
     """The storage of a run that was kept at its end, for `load_run` and another recording.
 
@@ -122,6 +125,7 @@ def kept_map(folder: Path) -> Path:
     return storage
 
 
+@checked
 def remove_storage(folder: Path) -> None:
     """Remove what a run that has come to its end could go on from; whatever can't be removed stays.
 
@@ -140,6 +144,7 @@ def _remove_storage(storage: Path) -> None:
         shutil.rmtree(storage)
 
 
+@checked
 def write_run(run: Run, folder: Path) -> None:
     """Write the paths, `exposure.txt`, `sensors.json`, `metrics.json` and `map.ply`, the smallest first.
 
@@ -159,6 +164,7 @@ def write_run(run: Run, folder: Path) -> None:
         save_ply(folder / f"map_{number}.ply", other.gaussians)
 
 
+@checked
 def write_trajectories(run: Run, folder: Path) -> None:
     """Write the paths and the covariances; cheap enough to be done again and again during a run.
 

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sfgs_jax.arrays import InputError, make_folder, sync_folder
+from sfgs_jax.arrays import InputError, checked, make_folder, sync_folder
 from sfgs_jax.geometry import Camera, same_camera, se3
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
@@ -43,6 +43,7 @@ _FORMER_STATE_FILE = "state.arrays"
 _T = TypeVar("_T")
 
 
+@checked
 def save(state: SlamState, folder: Path | str, **facts: int) -> None:
     """Write a state; `load` gives it back. Images that are on disk already are not written again.
 
@@ -105,6 +106,7 @@ def saved_facts(folder: Path | str) -> dict[str, int]:
     return json.loads(_read_state(Path(folder))[1]["facts"])
 
 
+@checked
 def load(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -> SlamState:
     """A state that was saved.
 

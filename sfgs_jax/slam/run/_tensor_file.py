@@ -4,7 +4,6 @@ A checksum of the whole file stands among its metadata, so that a changed bit or
 """
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,10 +12,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from safetensors.numpy import save
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, excerpt, parsed_json, require_file, write_atomically
 
 _DTYPES = {"BOOL": "?", "U8": "<u1", "I16": "<i2", "I32": "<i4", "I64": "<i8", "F32": "<f4", "F64": "<f8"}
 _LENGTH_BYTES = 8
+_MOST_BYTES = 1 << 40
 _KEY = "checksum"
 _DIGEST_BYTES = 16
 _BLANK = "0" * (2 * _DIGEST_BYTES)
@@ -54,12 +54,13 @@ def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         InputError: the file is missing, or is not as it was written.
     """
     try:
+        require_file(Path(path), _MOST_BYTES)
         content = np.memmap(path, np.uint8, mode="r")
         start = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES].tobytes(), "little")
         if start > len(content):
             raise ValueError("it is cut off")
         head = content[:start].tobytes()
-        header = json.loads(head[_LENGTH_BYTES:])
+        header = parsed_json(head[_LENGTH_BYTES:])
         metadata = header.pop("__metadata__")
         found = metadata.pop(_KEY)
         digest = _digest(head.replace(_entry(found), _entry(_BLANK), 1))
@@ -68,7 +69,7 @@ def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             raise ValueError("its content is not what its checksum says")
         data = content[start:]
         return {name: _array(data, entry) for name, entry in header.items()}, metadata
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{path} can't be read as a saved state ({excerpt(error)}): it is damaged or of another version."
         ) from None

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Camera, Frame, se3
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
@@ -40,6 +41,7 @@ _ANOTHER_OFFSET = 1e-4
 """Change of the made-up correction of depth, 1/m."""
 
 
+@checked
 def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
     """Compile the programs of a run, those of lost frames, loops and pruning among them.
 

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from typing import Literal
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.splatting.files._glb_container import unpacked_glb
 from sfgs_jax.splatting.files._gltf_reader import splat_primitives
 
@@ -12,6 +13,7 @@ Contents = Literal["splats", "points", "mesh"]
 _LONGEST_HEADER = 65536
 
 
+@checked
 def contents_of(path: Path | str) -> Contents:
     """What a file holds, by its head. Files that can't be told are left to the reader of splats.
 
@@ -38,4 +40,4 @@ def contents_of(path: Path | str) -> Contents:
     if not end or not {b"x", b"y", b"z"} <= names or names & {b"f_dc_0", b"opacity", b"scale_0", b"rot_0"}:
         return "splats"
     faces = re.search(rb"^element +face +(\d+)", head, re.MULTILINE)
-    return "mesh" if faces and int(faces[1]) else "points"
+    return "mesh" if faces and faces[1].strip(b"0") else "points"

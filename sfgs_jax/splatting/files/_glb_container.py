@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, file_bytes, parsed_json
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
@@ -48,14 +48,14 @@ def unpacked_glb(path: Path) -> tuple[dict[str, Any], bytes]:
     """
     if not path.is_file():
         raise InputError(f"There is no file {path}.")
-    content = path.read_bytes()
     try:
+        content = file_bytes(path)
         magic, version, length = _HEADER.unpack_from(content)
         size, kind = _CHUNK.unpack_from(content, _HEADER.size)
         if magic != b"glTF" or version != 2 or kind != b"JSON" or length != len(content):
             raise ValueError
         start = _HEADER.size + _CHUNK.size
-        description = json.loads(content[start : start + size])
+        description = parsed_json(content[start : start + size])
         if not isinstance(description, dict):
             raise ValueError
         data = b""
@@ -64,6 +64,6 @@ def unpacked_glb(path: Path) -> tuple[dict[str, Any], bytes]:
             data = content[start + size + _CHUNK.size :][:width]
             if kind != b"BIN\0" or len(data) < width:
                 raise ValueError
-    except (struct.error, ValueError, RecursionError) as error:
+    except (OSError, struct.error, ValueError) as error:
         raise InputError(f"{path} is no binary glTF 2.0 file, or is damaged.") from error
     return description, data

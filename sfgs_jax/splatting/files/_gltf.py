@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit
 
-from sfgs_jax.arrays import InputError, write_atomically
+from sfgs_jax.arrays import InputError, checked, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb
 from sfgs_jax.splatting.files._axes import half_turned
@@ -18,6 +18,7 @@ _POINTS, _ARRAY_BUFFER, _FLOAT = 0, 34962, 5126
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
+@checked
 def save_gltf(path: Path | str, gaussians: Gaussians) -> None:
     """Write the valid Gaussians as a binary glTF file, float32.
 

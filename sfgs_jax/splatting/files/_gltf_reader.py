@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logit
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.splatting._gaussians import Gaussians
 from sfgs_jax.splatting.files._axes import half_turned
 from sfgs_jax.splatting.files._glb_container import unpacked_glb
@@ -24,6 +24,7 @@ _NEAREST_TO_ONE = 1e-6
 """Opacities of exactly 0 and 1 have no finite logit."""
 
 
+@checked
 def load_gltf(path: Path | str) -> Gaussians:
     """Read the Gaussians of a binary glTF file; every one is valid, in axes with y down and z forward.
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.splatting._gaussians import Gaussians
 from sfgs_jax.splatting.files._contents import contents_of
 from sfgs_jax.splatting.files._gltf_reader import load_gltf
@@ -15,6 +15,7 @@ _LOADERS = {".ply": load_ply, ".splat": load_splat, ".spz": load_spz, ".glb": lo
 _SUFFIXES = ", ".join(_LOADERS)
 
 
+@checked
 def map_file(path: Path | str) -> Path:
     """The file of a map.
 
@@ -36,6 +37,7 @@ def map_file(path: Path | str) -> Path:
     return path / "map.ply"
 
 
+@checked
 def load_map(path: Path | str) -> Gaussians:
     """Read the Gaussians of a run, or of a file in one of the formats that can be written.
 

@@ -8,11 +8,15 @@ import numpy as np
 from jaxtyping import Float
 from plyfile import PlyData, PlyElement
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, require_file, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting.files._loaded import loaded
 
+_LONGEST_HEADER = 65536
+"""Bytes. A header names some 60 properties."""
 
+
+@checked
 def save_ply(path: Path | str, gaussians: Gaussians) -> None:
     """Write the valid Gaussians as a binary PLY file, little-endian, float32.
 
@@ -61,6 +65,7 @@ def write_vertices(path: Path | str, rows: np.ndarray) -> None:
     write_atomically(path, buffer.getvalue())
 
 
+@checked
 def load_ply(path: Path | str) -> Gaussians:
     """Read a PLY file of 3D Gaussian Splatting; every Gaussian in it is valid.
 
@@ -120,7 +125,7 @@ def read_vertices(path: Path) -> np.ndarray:
         InputError: the file is missing, is no PLY file, is cut off, or has no vertices.
     """
     try:
-        _require_rows(path.read_bytes())
+        _require_rows(path)
         # plyfile maps a real file into memory. From a stream it reads number by number.
         with path.open("rb") as file:
             elements = PlyData.read(file)
@@ -139,16 +144,24 @@ def _require_end(elements: PlyData, path: Path) -> None:
     rows = [element.data for element in elements]
     if elements.text or any(row.dtype.hasobject for row in rows):
         return
-    content = path.read_bytes()
-    header = content.find(b"end_header") + len(b"end_header\n")
-    rest = len(content) - header - sum(row.nbytes for row in rows)
+    header = len(_header(path)) + len(b"end_header\n")
+    rest = path.stat().st_size - header - sum(row.nbytes for row in rows)
     if rows and rest >= rows[-1].dtype.itemsize:
         raise InputError(f"{path} has {rest} bytes more than its header says; the file is damaged.")
 
 
-def _require_rows(content: bytes) -> None:
+def _require_rows(path: Path) -> None:
     """Raise ValueError if a header promises more rows than there are bytes, before room is made for them."""
-    counts = re.findall(rb"^element \S+ (\d+)", content.partition(b"end_header")[0], re.MULTILINE)
-    rows = sum(map(int, counts))
-    if rows > len(content):
-        raise ValueError(f"it should have {rows} rows and has {len(content)} bytes")
+    size = require_file(path)
+    rows = sum(map(int, re.findall(rb"^element \S+ (\d+)", _header(path), re.MULTILINE)))
+    if rows > size:
+        raise ValueError(f"it should have {excerpt(rows)} rows and has {size} bytes")
+
+
+def _header(path: Path) -> bytes:
+    """The beginning of a file, up to the end of its header. Raises ValueError if it has none."""
+    with path.open("rb") as file:
+        head, end, _ = file.read(_LONGEST_HEADER).partition(b"end_header")
+    if not head.startswith(b"ply") or not end:
+        raise ValueError("it has no header")
+    return head

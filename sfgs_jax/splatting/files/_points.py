@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb
 from sfgs_jax.splatting.files._ply import read_vertices, write_vertices
@@ -16,6 +16,7 @@ _FARTHEST = 1e7
 _VERTEX = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 
 
+@checked
 def coloured_points(gaussians: Gaussians) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
     """Centres of the valid Gaussians, and their mean RGB over all directions, on the host.
 
@@ -27,6 +28,7 @@ def coloured_points(gaussians: Gaussians) -> tuple[Float[np.ndarray, "n 3"], UIn
     return values["means"], np.asarray(rgb).astype(np.uint8)
 
 
+@checked
 def save_points(path: Path | str, gaussians: Gaussians) -> None:
     """Write the centres of the valid Gaussians as a binary PLY point cloud with RGB.
 
@@ -48,6 +50,7 @@ def save_points(path: Path | str, gaussians: Gaussians) -> None:
     write_vertices(path, vertices)
 
 
+@checked
 def load_coloured_points(
     path: Path | str,
 ) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:

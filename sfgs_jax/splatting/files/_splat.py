@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit, log_expit
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, file_bytes, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh, sh_to_rgb
 from sfgs_jax.splatting.files._loaded import loaded, logits_of_bytes
@@ -14,6 +14,7 @@ _RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 
 """32 bytes a Gaussian, no header: metres, metres, [0, 255], and a quaternion wxyz as 128 + 128 q."""
 
 
+@checked
 def save_splat(path: Path | str, gaussians: Gaussians) -> None:
     """Write the valid Gaussians as a `.splat` file, which viewers in browsers stream and read.
 
@@ -42,6 +43,7 @@ def save_splat(path: Path | str, gaussians: Gaussians) -> None:
     write_atomically(path, records[np.argsort(-visibility, kind="stable")].tobytes())
 
 
+@checked
 def load_splat(path: Path | str) -> Gaussians:
     """Read a `.splat` file; every Gaussian in it is valid, with harmonics of degree 0.
 
@@ -52,8 +54,8 @@ def load_splat(path: Path | str) -> Gaussians:
     """
     path = Path(path)
     try:
-        content = path.read_bytes()
-    except OSError as error:
+        content = file_bytes(path)
+    except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path} as a .splat file: {excerpt(error)}.") from error
     if not content or len(content) % _RECORD.itemsize:
         raise InputError(

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, file_bytes, write_atomically
 from sfgs_jax.splatting._gaussians import Gaussians, valid_arrays
 from sfgs_jax.splatting.files._axes import half_turned
 from sfgs_jax.splatting.files._loaded import loaded
@@ -10,6 +10,7 @@ from sfgs_jax.splatting.files._spz_container import MOST_GAUSSIANS, Header, Vers
 from sfgs_jax.splatting.files._spz_streams import fractional_bits, streams_of, values_of
 
 
+@checked
 def save_spz(path: Path | str, gaussians: Gaussians, *, version: Version = 3) -> None:
     """Write the valid Gaussians as an SPZ file.
 
@@ -37,6 +38,7 @@ def save_spz(path: Path | str, gaussians: Gaussians, *, version: Version = 3) ->
     write_atomically(path, packed(Header(count, coefficients, bits), streams_of(values, bits), version))
 
 
+@checked
 def load_spz(path: Path | str) -> Gaussians:
     """Read an SPZ file of version 3 or 4; every Gaussian in it is valid.
 
@@ -48,7 +50,7 @@ def load_spz(path: Path | str) -> Gaussians:
     """
     path = Path(path)
     try:
-        header, streams = unpacked(path.read_bytes())
+        header, streams = unpacked(file_bytes(path))
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path} as an SPZ file: {excerpt(error)}.") from error
     values = half_turned(values_of(streams, header.num_gaussians, header.coefficients, header.bits))

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from trimesh.visual import ColorVisuals, TextureVisuals
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, require_file, write_atomically
 
 _FARTHEST = 1e7
 """Metres. A larger number is damage."""
@@ -31,6 +31,7 @@ class Mesh:
     rgb: Float[np.ndarray, "n 3"]
 
 
+@checked
 def without_small_parts(mesh: Mesh, least: int) -> Mesh:
     """The mesh without connected parts of fewer than `least` triangles, such as specks in the air."""
     count = len(mesh.vertices)
@@ -44,6 +45,7 @@ def without_small_parts(mesh: Mesh, least: int) -> Mesh:
     return Mesh(mesh.vertices[used], triangles.reshape(-1, 3), mesh.rgb[used])
 
 
+@checked
 def save_mesh(path: Path | str, mesh: Mesh) -> None:
     """Write a mesh as PLY or as binary glTF, by the suffix `.ply` or `.glb`.
 
@@ -74,6 +76,7 @@ def save_mesh(path: Path | str, mesh: Mesh) -> None:
     write_atomically(path, data if isinstance(data, bytes) else bytes(str(data), "ascii"))
 
 
+@checked
 def load_mesh(path: Path | str) -> Mesh:
     """Read a mesh as `save_mesh` writes it, or one of another program; without colours it is grey.
 
@@ -87,6 +90,7 @@ def load_mesh(path: Path | str) -> Mesh:
     if not path.is_file():
         raise InputError(f"There is no file {path}.")
     try:
+        require_file(path)
         read = trimesh.load(path, process=False)
         joined = read.to_mesh() if isinstance(read, trimesh.Scene) else read
     except Exception as error:  # trimesh's readers raise whatever a broken file trips

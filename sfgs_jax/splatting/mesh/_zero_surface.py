@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.splatting.mesh._mesh import Mesh
 from sfgs_jax.splatting.mesh._tsdf_volume import SIDE, Place, TsdfVolume, packed_rows
 
@@ -18,6 +18,7 @@ _STEPS_PER_VOXEL = 512
 """Vertices of two bricks are one if they agree to a voxel divided by this."""
 
 
+@checked
 def zero_surface(volume: TsdfVolume, *, least_weight: float = 0.0) -> Mesh:
     """The surface that a volume has seen, as triangles with colours.
 

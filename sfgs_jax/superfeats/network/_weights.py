@@ -8,7 +8,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from sfgs_jax.arrays import InputError, excerpt, write_atomically
+from sfgs_jax.arrays import InputError, checked, excerpt, file_bytes, write_atomically
 from sfgs_jax.superfeats.network._layers import fold
 from sfgs_jax.superfeats.network._network import Network, NetworkConfig, initialise_network
 
@@ -16,6 +16,7 @@ from sfgs_jax.superfeats.network._network import Network, NetworkConfig, initial
 _LARGEST = 1e6
 
 
+@checked
 def save_weights(path: Path | str, network: Network) -> None:
     """Write a network, folded; an interrupted write leaves no half file.
 
@@ -30,6 +31,7 @@ def save_weights(path: Path | str, network: Network) -> None:
     write_atomically(path, save({_name(place): np.asarray(leaf) for place, leaf in leaves}))
 
 
+@checked
 def load_weights(path: Path | str | None = None, *, config: NetworkConfig | None = None) -> Network:
     """Read a folded network.
 
@@ -44,7 +46,7 @@ def load_weights(path: Path | str | None = None, *, config: NetworkConfig | None
     shipped = files("sfgs_jax.superfeats.network") / "superfeats.safetensors"
     source = Path(path) if path is not None else shipped
     try:
-        found = load(source.read_bytes())
+        found = load(file_bytes(str(source)))
     except FileNotFoundError:
         raise InputError(f"There is no {source}.") from None
     except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:

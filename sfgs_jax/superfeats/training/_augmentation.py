@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from sfgs_jax.arrays import InputError, check_range
+from sfgs_jax.arrays import InputError, check_range, checked
 
 _MAX_SHRINKAGE = 4.0
 """Largest shrinkage of an image by a view that the blur against aliasing follows."""
@@ -42,6 +42,7 @@ class ViewConfig:
             raise InputError(f"{self}: corners that move by half a side or more turn the view inside out.")
 
 
+@checked
 def random_homography(
     rng: np.random.Generator,
     size: int,
@@ -67,6 +68,7 @@ def random_homography(
     return cv2.getPerspectiveTransform(source, target)
 
 
+@checked
 def warp(
     image: Float32[np.ndarray, "h w"], H_view_image: Float64[np.ndarray, "3 3"], size: int
 ) -> Float32[np.ndarray, "s s"]:
@@ -86,6 +88,7 @@ def warp(
     )
 
 
+@checked
 def relight(
     rng: np.random.Generator, image: Float32[np.ndarray, "s s"], strength: float = 1.0
 ) -> Float32[np.ndarray, "s s"]:
@@ -114,6 +117,7 @@ def relight(
     return np.clip(image, 0, 1)
 
 
+@checked
 def occlude(
     rng: np.random.Generator, image: Float32[np.ndarray, "s s"]
 ) -> tuple[Float32[np.ndarray, "s s"], Bool[np.ndarray, "s s"]]:
@@ -161,6 +165,7 @@ def _shrinkage(H_view_image: Float64[np.ndarray, "3 3"], size: int) -> float:
     return float(np.sqrt(abs(np.linalg.det(np.stack([right - corner, below - corner])))))
 
 
+@checked
 def motion_blur(
     rng: np.random.Generator, image: Float32[np.ndarray, "*size"], lengths: tuple[int, int] = (3, 9)
 ) -> Float32[np.ndarray, "*size"]:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.superfeats._descriptors import cosines, unit
 from sfgs_jax.superfeats.detection import MIN_HEAT, heat_map, hottest_near, local_maxima, refine, strongest
 from sfgs_jax.superfeats.network import CELL
@@ -20,6 +21,7 @@ _TINY = 1e-6
 """Added under roots and logarithms, so that their gradients stay finite."""
 
 
+@checked
 def heat_loss(
     logits: Float[Array, "h w 65"], labels: Float[Array, "h w 65"], weights: Float[Array, "h w"]
 ) -> Float[Array, ""]:
@@ -38,6 +40,7 @@ def heat_loss(
     return _weighted_mean(entropy, weights)
 
 
+@checked
 def keypoint_positions(logits: Float[Array, "h w 65"]) -> Float[Array, "h w 2"]:
     """Soft argmax: the expected pixel (u, v) of each cell's keypoint, given that it has one."""
     h, w, _ = logits.shape
@@ -48,6 +51,7 @@ def keypoint_positions(logits: Float[Array, "h w 65"]) -> Float[Array, "h w 2"]:
     return jnp.stack([u, v], -1)
 
 
+@checked
 def contrastive_keypoint_loss(
     positions: Float[Array, "n 2"],
     counterparts: Float[Array, "n 2"],
@@ -71,6 +75,7 @@ def contrastive_keypoint_loss(
     return _weighted_mean(loss, weights)
 
 
+@checked
 def reprojection_loss(
     logits_a: Float[Array, "h w 65"],
     logits_b: Float[Array, "h w 65"],
@@ -118,6 +123,7 @@ def reprojection_loss(
     return _weighted_mean(jnp.minimum(distance, ceiling), used.astype(distance.dtype))
 
 
+@checked
 def hinge_descriptor_loss(
     a: Float[Array, "n d"],
     b: Float[Array, "n d"],
@@ -155,6 +161,7 @@ def hinge_descriptor_loss(
     return positive_weight * pull + push
 
 
+@checked
 def dual_softmax_loss(
     a: Float[Array, "n d"], b: Float[Array, "n d"], valid: Bool[Array, " n"], *, temperature: float = 0.1
 ) -> Float[Array, ""]:
@@ -173,6 +180,7 @@ def dual_softmax_loss(
     return -_weighted_mean(forward + backward, valid.astype(a.dtype))
 
 
+@checked
 def imitation_loss(
     descriptors: Float[Array, "h w d"], labels: Float[Array, "h w d"], weights: Float[Array, "h w"]
 ) -> Float[Array, ""]:
@@ -186,6 +194,7 @@ def imitation_loss(
     return _weighted_mean(1 - (unit(descriptors) * unit(labels)).sum(-1), weights)
 
 
+@checked
 def reliability_loss(
     logits: Float[Array, "h w"], labels: Float[Array, "h w"], weights: Float[Array, "h w"]
 ) -> Float[Array, ""]:

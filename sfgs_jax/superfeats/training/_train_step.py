@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.superfeats._descriptors import cosines, sample, unit
 from sfgs_jax.superfeats.network import CELL, BatchStatistics, DenseFeatures, Network, forward
 from sfgs_jax.superfeats.training._losses import (
@@ -102,6 +102,7 @@ class TrainingState(eqx.Module):
     step: Int[Array, ""]
 
 
+@checked
 def initial_state(network: Network, optimiser: optax.GradientTransformation) -> TrainingState:
     """The state before the first step.
 
@@ -116,6 +117,7 @@ def initial_state(network: Network, optimiser: optax.GradientTransformation) -> 
     )
 
 
+@checked
 def losses(
     dense: DenseFeatures, batch: Batch, weights: LossWeights
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
@@ -154,6 +156,7 @@ def losses(
     return total, {"loss": total, **figures, "accuracy": per_pair(_accuracy, a, b, batch.seen)}
 
 
+@checked
 @partial(jax.jit, static_argnames=("optimiser", "weights"), donate_argnums=0)
 def train_step(
     state: TrainingState,
@@ -192,6 +195,7 @@ def train_step(
     return after, figures
 
 
+@checked
 @partial(jax.jit, static_argnames="weights")
 def evaluate(network: Network, batch: Batch, *, weights: LossWeights) -> dict[str, Float[Array, ""]]:
     """The figures of `losses` for a folded network.
