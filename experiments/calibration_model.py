@@ -32,7 +32,7 @@ SURFACE_SIGMA = 0.001
 SURFACE_STRIDE = 4
 REDUNDANCY = (5 / SURFACE_STRIDE) ** 2
 """Neighbouring planes share most of the pixels that they were fitted to."""
-BRIGHTNESS_SIGMA = 0.3
+BRIGHTNESS_SIGMA = 0.15
 """Noise of the images of brightness, whose contrast is 1 everywhere."""
 BRIGHTNESS_STRIDE = 3
 FOCAL_SIGMA, SHIFT_SIGMA, TURN_SIGMA, TIME_SIGMA = 0.05, 0.02, 0.035, 0.02
@@ -313,7 +313,7 @@ def _pair_equations(
     values, existing = residuals(x)
     jacobians = jax.jacfwd(lambda x: residuals(x)[0])(x)
     hessian, gradient, squares = jnp.zeros((len(x), len(x))), jnp.zeros(len(x)), []
-    shares = 1, 1 / REDUNDANCY, bright
+    shares = 1 - bright, 1 / REDUNDANCY, bright
     for value, there, jacobian, share in zip(values, existing, jacobians, shares, strict=True):
         square = jnp.sum(value**2, axis=0)
         weight = jnp.where(there, kernel_weight(square, "geman_mcclure", width), 0)
@@ -374,7 +374,7 @@ def step(
         views: stacked.
         pairs: stacked.
         width: of the robust kernel, standard deviations.
-        bright: weight of the changes of brightness.
+        bright: share of the changes of brightness; keypoints have the rest.
         poses_only: whether the calibration is held as well.
     """
     flat, unravel = ravel_pytree(calibration)

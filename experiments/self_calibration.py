@@ -6,7 +6,7 @@ A recording of the synthetic room with a Kinect's faults is tracked with focal l
 of the calibration begins 2 cm, 2 degrees and 20 ms from the truth, in random directions. Gauss-Newton on the
 joint error of pairs of frames, of keypoints and surface, finds calibration and poses together; its
 derivatives are JAX's. Then the frames are tracked again with the calibration found, for the motion of their
-rows, and so on. In the last two rounds the brightness of pixels counts as well.
+rows, and so on. In the last two rounds the brightness of pixels takes the place of the keypoints.
 
 Real recordings have no truth to compare with. They are judged by cycles of three registrations in frames that
 the calibration has not seen: as they are calibrated, with the wrong start, and with what was found.
@@ -46,10 +46,9 @@ WIDTH = 160
 """Columns that real images are reduced to, and that synthetic ones have."""
 EVERY, GAPS = 4, (1, 2, 4)
 """Frames from one view to the next, and views from one of a pair to the other."""
-WIDTHS, BRIGHT, STEPS = (8.0, 3.0, 2.0, 2.0), (0.0, 0.0, 0.3, 0.3), 5
-"""Robust kernel after each tracking, standard deviations, the weight of brightness, and steps of Gauss-Newton
-with them. Brightness fits at a wrong place too while the start is pixels away, and three of its pixels share
-what their smoothing took from each other."""
+WIDTHS, BRIGHT, STEPS = (8.0, 3.0, 2.0, 2.0), (0.0, 0.0, 1.0, 1.0), 5
+"""Robust kernel after each tracking, standard deviations, the share of brightness in place of keypoints, and
+steps of Gauss-Newton with them. While the start is pixels away, brightness fits at wrong places too."""
 KEYPOINTS = 512
 
 

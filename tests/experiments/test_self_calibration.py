@@ -43,7 +43,7 @@ def test_the_descent_finds_focal_lengths_delay_and_extrinsic(recording, posed, r
     calibration = start = wrong(rng, truth)
     # The experiment mixes indices and lanes freely, which the tests' strict promotion refuses.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        for width, bright in ((8, 0), (8, 0), (3, 0), (3, 0), (2, 0), (2, 0.3), (2, 0.3), (2, 0.3)):
+        for width, bright in ((8, 0), (8, 0), (3, 0), (3, 0), (2, 0), (2, 1), (2, 1), (2, 1)):
             settings = jnp.float32(width), jnp.float32(bright)
             after = step(clip.camera, calibration, start, poses, views, scene.pairs, *settings)
             calibration, poses = after.calibration, after.poses
