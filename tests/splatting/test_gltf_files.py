@@ -196,3 +196,15 @@ def test_files_that_are_cut_off_are_refused(tmp_path, length):
     path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(InputError, match="no binary glTF"):
         load_gltf(path)
+
+
+def test_a_nan_that_signals_is_refused_without_a_warning(tmp_path):
+    """Warnings are errors in the tests."""
+    path = tmp_path / "map.glb"
+    scene = make_scene(1)
+    save_gltf(path, scene)
+    content = path.read_bytes()
+    number = attributes_of(path)["POSITION"][0, 0].tobytes()
+    path.write_bytes(content.replace(number, struct.pack("<I", 0x7F800001), 1))
+    with pytest.raises(InputError, match="not finite"):
+        load_gltf(path)

@@ -123,4 +123,6 @@ def _accessor(
     if count < 1 or stride < item or first < 0 or first + (count - 1) * stride + item > len(data):
         raise ValueError("The data end before the accessor does.")
     rows = np.ndarray((count, width), kind, data, first, (stride, np.dtype(kind).itemsize))
-    return np.maximum(rows.astype(np.float64) / divisor, -1) if divisor > 1 else rows.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a NaN may signal; whoever reads the values refuses it
+        values = rows.astype(np.float64)
+    return np.maximum(values / divisor, -1) if divisor > 1 else values
