@@ -177,6 +177,7 @@ def test_normalised_integers_and_strides_are_read(tmp_path):
         (lambda d: d["nodes"][0].update(scale=[2, 2, 2]), "moves its Gaussians"),
         (lambda d: d["accessors"][0].update(count=10**9), "damaged or compressed"),
         (lambda d: d["accessors"][0].update(componentType=7), "damaged or compressed"),
+        (lambda d: d["accessors"][0].update(type="VEC2"), "damaged or compressed"),
         (lambda d: d["bufferViews"].clear(), "damaged or compressed"),
         (lambda d: d["meshes"][0]["primitives"][0]["attributes"].pop("POSITION"), "damaged or compressed"),
     ],

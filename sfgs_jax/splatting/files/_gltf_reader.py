@@ -89,8 +89,11 @@ def _values(
     """Arrays of one primitive by the names of `GAUSSIAN_PARAMETERS`, still in the file's axes."""
     attributes = primitive["attributes"]
 
-    def read(name: str) -> Float[np.ndarray, "n k"]:
-        return _accessor(description["accessors"][attributes[name]], description, data)
+    def read(name: str, kind: str = "VEC3") -> Float[np.ndarray, "n k"]:
+        accessor = description["accessors"][attributes[name]]
+        if accessor["type"] != kind:
+            raise ValueError(f"{name} is no {kind}.")
+        return _accessor(accessor, description, data)
 
     count = sum(name.startswith(f"{EXTENSION}:SH_DEGREE_") for name in attributes)
     degrees = math.isqrt(count)
@@ -98,10 +101,10 @@ def _values(
         raise ValueError(f"{count} coefficients are no whole degrees.")
     names = [f"SH_DEGREE_{d}_COEF_{n}" for d in range(degrees) for n in range(2 * d + 1)]
     scales = read(f"{EXTENSION}:SCALE")
-    opacities = np.clip(read(f"{EXTENSION}:OPACITY")[:, 0], _NEAREST_TO_ONE, 1 - _NEAREST_TO_ONE)
+    opacities = np.clip(read(f"{EXTENSION}:OPACITY", "SCALAR")[:, 0], _NEAREST_TO_ONE, 1 - _NEAREST_TO_ONE)
     return {
         "means": read("POSITION"),
-        "quaternions": np.roll(read(f"{EXTENSION}:ROTATION"), 1, axis=1),  # wxyz
+        "quaternions": np.roll(read(f"{EXTENSION}:ROTATION", "VEC4"), 1, axis=1),  # wxyz
         "log_scales": np.log(np.maximum(scales, np.finfo(np.float32).tiny)),
         "opacity_logits": logit(opacities),
         "sh": np.stack([read(f"{EXTENSION}:{name}") for name in names], axis=1),
