@@ -7,7 +7,14 @@ from trimesh.visual import ColorVisuals
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import Camera, orbit
-from sfgs_jax.splatting.mesh import Mesh, TsdfVolume, save_mesh, without_small_parts, zero_surface
+from sfgs_jax.splatting.mesh import (
+    Mesh,
+    TsdfVolume,
+    load_mesh,
+    save_mesh,
+    without_small_parts,
+    zero_surface,
+)
 
 CAMERA = Camera(80.0, 80.0, 39.5, 29.5, width=80, height=60)
 U, V = np.meshgrid(np.arange(80.0), np.arange(60.0))
@@ -140,3 +147,12 @@ def test_bad_input_gets_one_sentence(ball, tmp_path):
     with pytest.raises(InputError, match=r"don't fit a camera of \(60, 80\)"):
         TsdfVolume(0.1).integrate(np.ones((3, 4)), np.ones((3, 4, 3)), CAMERA, np.eye(4))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_mesh_in_the_plane_is_refused(ball, tmp_path):
+    _, mesh = ball
+    path = tmp_path / "ball.glb"
+    save_mesh(path, mesh)
+    path.write_bytes(path.read_bytes().replace(b'"VEC3"', b'"VEC2"'))
+    with pytest.raises(InputError, match="corners of 2 coordinates"):
+        load_mesh(path)

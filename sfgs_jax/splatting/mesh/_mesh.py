@@ -98,6 +98,8 @@ def load_mesh(path: Path | str) -> Mesh:
     if not isinstance(joined, trimesh.Trimesh) or not len(joined.faces):
         raise InputError(f"{path} has no triangle: it is no mesh.")
     vertices, triangles = np.asarray(joined.vertices, np.float64), np.asarray(joined.faces, np.int64)
+    if vertices.shape[1] != 3:
+        raise InputError(f"{path} has corners of {vertices.shape[1]} coordinates, not 3: it is damaged.")
     if not np.all(np.abs(vertices) < _FARTHEST) or triangles.min() < 0 or triangles.max() >= len(vertices):
         raise InputError(f"{path} has a corner that is not finite, too far away or not there: it is damaged.")
     glb = path.suffix.lower() == ".glb"
