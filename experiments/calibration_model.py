@@ -4,8 +4,8 @@ A frame's depth gives planes of inverse depth over the image, one a pixel. A cal
 surface in the colour camera at the middle of its exposure. A keypoint has the depth of the surface that its
 ray meets. A pair of frames then has four kinds of residuals. A matched keypoint of one frame appears in the
 other at another pixel, and with another inverse depth. Points of surface have another inverse depth there,
-and pixels another brightness. A keypoint does not mark the same point of the scene from near and far;
-brightness has no such error, but it needs a start within a pixel or two.
+and pixels another brightness. A keypoint does not mark the same point of the scene from near and far.
+Brightness has no such error, but it needs a start within a pixel or two.
 
 All of them are differentiable by the calibration and by both poses. Correspondences and robust weights are
 found anew before each step and held fixed in it.

@@ -9,7 +9,7 @@ derivatives are JAX's. Then the frames are tracked again with the calibration fo
 rows, and so on. In the last two rounds the brightness of pixels takes the place of the keypoints.
 
 Real recordings have no truth to compare with. They are judged by cycles of three registrations in frames that
-the calibration has not seen: as they are calibrated, with the wrong start, and with what was found.
+the calibration has not seen. There are three rows: as recorded, with the wrong start, and as found.
 """
 
 import argparse

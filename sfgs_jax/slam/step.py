@@ -53,8 +53,8 @@ def step(
     The work is done by compiled functions; the first frames of an image size wait for their compilation, or
     `warm_up` does it before. It runs on the host; inside `jit`, `scan` or `vmap` use `track`.
 
-    Warns if the first frame's depth is not in metres by its median or its colours are not in [0, 1], and if
-    depth contradicts colour or the frames before; then frames are lost.
+    Warns if the first frame's depth is not in metres by its median, or its colours are not in [0, 1]. Warns
+    too if depth contradicts colour or the frames before; then frames are lost.
 
     Args:
         state: the run so far, from `init` or an earlier step.
