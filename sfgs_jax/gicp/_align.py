@@ -85,8 +85,6 @@ def align(
                 f"The {name} has {len(cloud.levels)} levels, but the config {config.levels}; "
                 "prepare both clouds with this config."
             )
-    if noise is not None and not isinstance(noise, DistanceNoise):
-        raise InputError(f"The noise is a DistanceNoise, not {described(noise)}.")
     if sweep is not None and not isinstance(source, OrganisedCloud):
         raise InputError("Only a depth image has rows that a sweep could move: leave out `sweep` for points.")
     levels = max(len(source.levels), len(target.levels))
