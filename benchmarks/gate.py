@@ -26,11 +26,13 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.factor_graph import corridor
 from sfgs_jax import datasets, factor_graph, gicp, slam, splatting, superfeats
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Frame, se3, surface
 
 BASELINE = Path(__file__).with_name("baseline.json")
@@ -236,6 +238,28 @@ def bundle_adjustment() -> Call:
     return lambda: factor_graph.solve(placed, values)
 
 
+def argument_checks() -> Call:
+    """A hundred calls of a public function that does nothing but check its arguments."""
+
+    @checked
+    def function(
+        points: Float[jax.Array | np.ndarray, "N 3"],
+        depth: Float[jax.Array | np.ndarray, "H W"],
+        used: Bool[jax.Array | np.ndarray, " N"] | None = None,
+        *,
+        width: float = 1.0,
+    ) -> None:
+        pass
+
+    points, depth, used = jnp.zeros((100, 3)), np.zeros((48, 64), np.float32), jnp.ones(100, bool)
+
+    def calls() -> None:
+        for _ in range(100):
+            function(points, depth, used, width=2.0)
+
+    return calls
+
+
 def data_root() -> Path:
     return Path(os.environ.get("SFGS_DATA", Path(__file__).parents[2] / "shared"))
 
@@ -298,6 +322,7 @@ RATIOS: dict[str, Callable[[int], float]] = {
     "render / exponentials": over(rendering, exponentials),
     "render and gradient / exponentials": over(rendering_gradient, exponentials),
     "bundle adjustment / product": over(bundle_adjustment, product),
+    "argument checks / product": over(argument_checks, product),
     "import sfgs_jax / import jax": import_ratio,
     "XFeat / extract, real": over(xfeat, real_extraction),
     "track / XFeat, real": over(real_tracking, xfeat),
