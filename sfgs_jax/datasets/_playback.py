@@ -4,9 +4,13 @@ import threading
 import time
 from collections.abc import Iterator
 
+import numpy as np
+
 from sfgs_jax.arrays import FrameError, checked, require_least
 from sfgs_jax.datasets._recording import Recording
 from sfgs_jax.geometry import Frame
+
+_LONGEST_WAIT_S = 3600.0
 
 
 @checked
@@ -15,7 +19,7 @@ def play(recording: Recording, *, first: int = 0) -> Iterator[tuple[int, Frame |
 
     A thread decodes the newest frame that is due and leaves it for the consumer. The next frame replaces one
     that was not taken, so a slow consumer gets fewer frames, not older ones. The clock starts with the first
-    frame asked for.
+    frame asked for. A break of more than an hour is not waited for: one of the two stamps must be wrong.
 
     Args:
         recording: source of the frames.
@@ -29,7 +33,9 @@ def play(recording: Recording, *, first: int = 0) -> Iterator[tuple[int, Frame |
     """
     require_least(first, 0, "first of play")
     mailbox = _Mailbox()
-    times = recording.timestamps - recording.timestamps[first] if len(recording) > first else []
+    steps = np.diff(recording.timestamps, prepend=recording.timestamps[:1])
+    steps[: first + 1] = 0.0
+    times = np.cumsum(np.where(steps > _LONGEST_WAIT_S, 0.0, steps))
 
     def decode() -> None:
         start = time.monotonic()

@@ -5,6 +5,9 @@ from typing import Any
 from sfgs_jax.arrays import FrameError, InputError, described
 from sfgs_jax.geometry import Camera, Frame
 
+_LONGEST_BREAK_S = 3600.0
+"""No camera is followed over a longer one. A single wrong stamp would refuse all frames after it."""
+
 
 def check_frame(frame: Any, camera: Camera, last_timestamp: float) -> None:
     """Raise an error unless a frame fits the camera and the clock.
@@ -16,7 +19,7 @@ def check_frame(frame: Any, camera: Camera, last_timestamp: float) -> None:
 
     Raises:
         InputError: it is no frame, or has another size than the camera.
-        FrameError: its time stamp is before that of the last frame.
+        FrameError: its time stamp is before that of the last frame, or more than an hour after it.
     """
     if not isinstance(frame, Frame):
         raise InputError(f"A step takes a Frame(rgb, depth, timestamp), not {described(frame)}.")
@@ -25,8 +28,14 @@ def check_frame(frame: Any, camera: Camera, last_timestamp: float) -> None:
             f"The frame has colour {frame.rgb.shape} and depth {frame.depth.shape}, the camera is for images "
             f"of {camera.shape}: pass frames of one size, and init() a state for each size."
         )
-    if float(frame.timestamp) < last_timestamp:
+    time = float(frame.timestamp)
+    if time < last_timestamp:
         raise FrameError(
-            f"The frame's time stamp {float(frame.timestamp):.6f} s is before that of the last frame, "
-            f"{last_timestamp:.6f} s: pass frames in the order of their time stamps."
+            f"The frame's time stamp {time:.6f} s is before that of the last frame, {last_timestamp:.6f} s: "
+            "pass frames in the order of their time stamps."
+        )
+    if time - last_timestamp > _LONGEST_BREAK_S:
+        raise FrameError(
+            f"The frame's time stamp {time:.6f} s is more than an hour after that of the last frame, "
+            f"{last_timestamp:.6f} s: time stamps are in seconds, and new_session() goes on after a break."
         )

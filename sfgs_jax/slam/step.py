@@ -64,7 +64,7 @@ def step(
 
     Raises:
         InputError: the frame has another size than the camera.
-        FrameError: its time stamp is before that of the last frame.
+        FrameError: its time stamp is before that of the last frame, or more than an hour after it.
     """
     if isinstance(frame, Frame) and not len(state.log.timestamps):
         warn_unless_metres(frame.depth)

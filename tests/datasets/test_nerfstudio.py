@@ -76,6 +76,16 @@ def test_time_stamps_give_the_order(scene, capture):
     recording = _open(scene)
     assert recording.timestamps.tolist() == [100, 101, 102, 103, 104]
     assert np.abs(recording[0].rgb - capture[4].rgb / 255).max() < 0.01
+    assert not any("time stamp" in note for note in recording.notes)
+
+
+def test_time_stamps_of_no_use_are_noted(scene):
+    frames = scene[1]["frames"]
+    for n, frame in enumerate(frames):
+        frame["timestamp"] = None if n == 2 else 100 + n
+    recording = _open(scene)
+    np.testing.assert_allclose(recording.timestamps, np.arange(5) / 30)
+    assert any("time stamp of its own" in note for note in recording.notes)
 
 
 def test_depth_in_units_of_instant_ngp(scene, check_capture):

@@ -134,7 +134,14 @@ def test_frames_that_nobody_was_ready_for_are_left_out():
 
 def test_a_consumer_that_is_fast_gets_every_frame():
     recording: Any = Slow()
+    recording.timestamps = np.arange(10) / 10  # slow enough for a machine that does other work too
     assert [number for number, _ in play(recording, first=4)] == [4, 5, 6, 7, 8, 9]
+
+
+def test_a_wrong_stamp_is_not_waited_for():
+    recording: Any = Slow()
+    recording.timestamps = np.array([*np.arange(9) / 10, 1e12])
+    assert [number for number, _ in play(recording, first=6)][-1] == 9
 
 
 def test_what_ends_the_decoder_is_raised():

@@ -272,10 +272,19 @@ def test_time_does_not_go_back(room, frames, config):
     state, _ = follow(room, frames[:3], config)
     with pytest.raises(FrameError, match=r"time stamp 0\.0\d+ s is before .* in the order of"):
         slam.step(state, frames[1])
+    with pytest.raises(FrameError, match=r"more than an hour after .* in seconds"):
+        slam.step(state, replace(frames[3], timestamp=1e9))
     # A run goes on without the frame.
     run = slam.run(enumerate([*frames[:3], frames[1], *frames[3:5]]), room.camera, config)
     assert (run.num_frames, run.num_skipped) == (6, 1)
     assert np.all(np.diff(run.trajectory.timestamps) > 0)
+
+
+def test_one_wrong_stamp_costs_one_frame(room, frames, config):
+    shown = [frames[0], replace(frames[1], timestamp=1e9), *frames[2:5]]
+    run = slam.run(enumerate(shown), room.camera, config)
+    assert (run.num_frames, run.num_skipped) == (5, 1)
+    assert run.trajectory.timestamps[-1] == frames[4].timestamp
 
 
 def test_the_map_grows_when_it_is_full(room, frames, config):

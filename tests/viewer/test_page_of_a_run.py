@@ -129,8 +129,8 @@ def test_the_replay_goes_by_the_clock_of_the_recording(page, scene, received):
     seconds_per_frame = np.diff(moments) / (np.diff(places) / 0.02)
     fast = np.median(seconds_per_frame[np.array(places[1:]) < 0.41])
     slow = np.median(seconds_per_frame[np.array(places[1:]) > 0.41])
-    # 50 ms a frame, then 150. A replay by the number of the frame would take as long for both. Medians, since a
-    # machine with other work lets single frames wait.
+    # 50 ms a frame, then 150. A replay by the number of the frame would take as long for both. Medians, since
+    # a machine with other work lets single frames wait.
     assert fast > 0.03
     assert slow / fast > 2
 

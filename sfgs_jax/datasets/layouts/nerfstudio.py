@@ -52,7 +52,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
     notes = [f"{left_out} of {len(frames)} frames have no depth image and are left out."] if left_out else []
     colour = [_colour_file(source, frame, path) for frame in with_depth]
     depth = [listed_file(source, _depth_name(frame), path) for frame in with_depth]
-    timestamps = _timestamps(with_depth, colour)
+    timestamps, time_notes = _timestamps(with_depth, colour)
     pairs = [FilePair(*row) for row in zip(colour, depth, timestamps.tolist(), strict=True)]
     scale = options.depth_scale or _units_per_metre(content, path)
     if options.camera is not None:
@@ -70,7 +70,7 @@ def read(source: Path, options: ReaderOptions) -> FileRecording:
         pairs=pairs,
         units_per_metre=scale,
         ground_truth=ground_truth,
-        notes=(*notes, *intrinsics.notes, *view.notes, *truth_notes),
+        notes=(*notes, *time_notes, *intrinsics.notes, *view.notes, *truth_notes),
         register=view.register,
     )
 
@@ -92,12 +92,16 @@ def _time(frame: dict[str, Any]) -> float | None:
     return float(time) if isinstance(time, int | float) and abs(time) < 1e12 else None
 
 
-def _timestamps(frames: list[dict[str, Any]], colour: list[Path]) -> Float[np.ndarray, " n"]:
-    """Seconds: each frame's own, else as the files' names tell."""
+def _timestamps(
+    frames: list[dict[str, Any]], colour: list[Path]
+) -> tuple[Float[np.ndarray, " n"], tuple[str, ...]]:
+    """Seconds: each frame's own, else as the files' names tell; and a note if frames have some of no use."""
     times = [time for time in map(_time, frames) if time is not None]
     if len(times) == len(frames) and len(set(times)) == len(times):
-        return np.asarray(times, np.float64)
-    return times_of_names(colour, _FRAMES_PER_SECOND)
+        return np.asarray(times, np.float64), ()
+    given = any("timestamp" in frame for frame in frames)
+    note = "Not every frame has a time stamp of its own in seconds, so they are not used."
+    return times_of_names(colour, _FRAMES_PER_SECOND), (note,) if given else ()
 
 
 def _depth_name(frame: dict[str, Any]) -> str:
