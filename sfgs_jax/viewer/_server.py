@@ -27,7 +27,8 @@ def start_server(host: str, port: int, title: str) -> viser.ViserServer:
 def page_address(server: viser.ViserServer) -> str:
     """Address of a server's page on this machine."""
     host = server.get_host()
-    return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{server.get_port()}"
+    listens_everywhere = host == "0.0.0.0"  # noqa: S104
+    return f"http://{'127.0.0.1' if listens_everywhere else host}:{server.get_port()}"
 
 
 def embedded(url: str) -> str:

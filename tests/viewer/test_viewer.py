@@ -13,9 +13,9 @@ from sfgs_jax.splatting import Gaussians, load_ply, load_spz, save_gltf, save_pl
 from sfgs_jax.viewer import MapScene, splats_of, view_run
 
 
-def _listening(port: int) -> bool:
+def _listening(port: int, host: str = "127.0.0.1") -> bool:
     with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
+        return probe.connect_ex((host, port)) == 0
 
 
 @pytest.fixture
@@ -63,6 +63,13 @@ def test_covariances_colours_and_opacities(gaussians):
         np.testing.assert_allclose(splats.covariances[i], expected, rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(splats.opacities[0, 0], 1 / (1 + np.exp(2)), rtol=1e-5)
     np.testing.assert_allclose(splats.rgb, [[0.5 + 0.2820948**2, 0.5, 0.5]] * 16, rtol=1e-5)
+
+
+def test_it_listens_on_this_machine_alone(scene):
+    port = scene.server.get_port()
+    assert _listening(port)
+    # Another address of the same machine, which a server that listens on all of them answers.
+    assert not _listening(port, "127.0.0.2")
 
 
 def test_the_scene_holds_the_map_and_the_path(scene, gaussians, trajectory):
