@@ -269,6 +269,14 @@ def test_every_eighth_frame_is_never_a_view():
     assert not view_is_due(14, 8, [0, 12], DEFAULT, new_keyframe=False, shift=0.0)
 
 
+def test_a_camera_that_stays_takes_no_more_views(room, frames, config):
+    mapping = replace(config.mapping, view_interval=1, views_per_keyframe=3, steps_per_view=0)
+    still = [replace(frames[0], timestamp=0.1 * number) for number in range(10)]
+    run = slam.run(enumerate(still), room.camera, replace(config, mapping=mapping))
+    assert len(run.trajectory) == 10
+    assert [view.frame for view in run.state.mapping.views] == [0, 1, 2]
+
+
 def test_views_of_other_exposures_make_one_map(seeded, frames):
     """One frame, and the same frame with half the exposure: their gains tell them apart, the map does not."""
     config = seeded.config.mapping

@@ -70,6 +70,9 @@ def test_a_keyframe_rectified_anew_after_a_save_is_saved_anew(room, frames, busy
     state = replace(state, graph=replace(state.graph, keyframes=(anew, *rest)))
     slam.save(state, tmp_path)
     assert_equal(slam.load(tmp_path, busy), state)
+    assert len(list(tmp_path.glob("keyframe*"))) == len(state.graph.keyframes), (
+        "what it was before takes no disk"
+    )
 
 
 def test_a_state_is_refused_by_name(room, frames, busy, tmp_path):

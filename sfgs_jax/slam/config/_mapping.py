@@ -132,6 +132,9 @@ class MappingConfig:
     view_interval: int = 8
     """Frames between two views. A keyframe is a view too, unless an ordinary view was taken less than half
     an interval ago."""
+    views_per_keyframe: int = 16
+    """Most views that belong to one keyframe. It bounds what a camera that stays in a place takes. A camera
+    that is carried through rooms has up to 8."""
     views_in_memory: int = 128
     """Views and keyframes whose images stay in memory. Older ones are kept on disk."""
     steps_per_frame: int = 0
@@ -166,7 +169,7 @@ class MappingConfig:
         """Refuse values that have no meaning."""
         check_counts(self, 1, "max_width", "capacity")
         check_counts(self, 0, "pair_capacity")
-        check_counts(self, 1, "view_interval", "prune_interval")
+        check_counts(self, 1, "view_interval", "views_per_keyframe", "prune_interval")
         check_counts(self, self.capacity, "max_capacity")
         check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")
         check_range(self, 0, 1, "newest_share", "prune_opacity", "final_rate")

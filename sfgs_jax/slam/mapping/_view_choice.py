@@ -67,7 +67,7 @@ def becomes_view(state: SlamState, log: FrameLog, frame: Frame, *, new_keyframe:
         T_world_cam = T_world_keyframe @ se3.matrices_of(log.motions[pair])
         T_last_cam = np.linalg.inv(T_world_cam[0]) @ T_world_cam[1]
         shift = image_shift(T_last_cam, np.asarray(frame.depth), state.camera)
-    return view_is_due(
+    due = view_is_due(
         log.newest,
         state.last_view,
         [keyframe.frame for keyframe in state.graph.keyframes[-2:]],
@@ -75,6 +75,20 @@ def becomes_view(state: SlamState, log: FrameLog, frame: Frame, *, new_keyframe:
         new_keyframe=new_keyframe,
         shift=shift,
     )
+    return due and has_room_for_view(state.mapping.views, int(log.keyframes[-1]), state.config.mapping)
+
+
+def has_room_for_view(views: tuple[View, ...], keyframe: int, config: MappingConfig) -> bool:
+    """Whether a keyframe may have one more view; what its views show no longer needs one.
+
+    So views take room for the area that was seen, not for the time that it took.
+
+    Args:
+        views: so far.
+        keyframe: number of the keyframe.
+        config: settings.
+    """
+    return sum(view.keyframe == keyframe for view in views) < config.views_per_keyframe
 
 
 def view_is_due(

@@ -36,7 +36,7 @@ from sfgs_jax.slam.state import (
 )
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 19
+FORMAT_VERSION = 20
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -83,18 +83,21 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
         "facts": json.dumps(facts),
     }
     write_tensors(folder / STATE_FILE, _named(_without_images(state)), metadata)
-    _remove_returned(state, folder)
+    _remove_former(state, folder)
 
 
-def _remove_returned(state: SlamState, folder: Path) -> None:
-    """Remove the files of submaps that have come back into the map, once no state on disk names them."""
-    named = {submap.number for submap in state.mapping.submaps}
-    for path in folder.glob("submap-*.safetensors"):
-        number = int(path.stem.removeprefix("submap-"))
-        # A map in a thread of its own may have written newer ones meanwhile.
-        if number < state.mapping.num_submaps and number not in named:
-            with suppress(OSError):
-                path.unlink()
+def _remove_former(state: SlamState, folder: Path) -> None:
+    """Remove the files of submaps that have come back into the map, and of keyframes rectified anew since.
+
+    No state on disk names them any more. Newer ones stay: a map in a thread of its own may have written them.
+    """
+    known = _named_files(state, folder)
+    made = {"keyframe": len(state.graph.keyframes), "submap": state.mapping.num_submaps}
+    for kind, number in made.items():
+        for path in set(folder.glob(f"{kind}-*.safetensors")) - known:
+            if int(path.stem.rpartition("-")[2]) < number:
+                with suppress(OSError):
+                    path.unlink()
 
 
 def saved_facts(folder: Path | str) -> dict[str, int]:
@@ -193,12 +196,15 @@ def remove_other_images(state: SlamState, folder: Path) -> None:
     Raises:
         OSError: a file can't be removed.
     """
-    known = {_keyframe_file(folder, i, keyframe) for i, keyframe in enumerate(state.graph.keyframes)}
-    known |= {_image_file(folder, "view", i) for i in range(len(state.mapping.views))}
-    known |= {_submap_file(folder, submap) for submap in state.mapping.submaps}
     for kind in ("keyframe", "view", "submap"):
-        for path in set(folder.glob(f"{kind}-*.safetensors")) - known:
+        for path in set(folder.glob(f"{kind}-*.safetensors")) - _named_files(state, folder):
             path.unlink()
+
+
+def _named_files(state: SlamState, folder: Path) -> set[Path]:
+    files = {_keyframe_file(folder, i, keyframe) for i, keyframe in enumerate(state.graph.keyframes)}
+    files |= {_image_file(folder, "view", i) for i in range(len(state.mapping.views))}
+    return files | {_submap_file(folder, submap) for submap in state.mapping.submaps}
 
 
 def _images(view: View) -> tuple[Any, Any, Any]:
