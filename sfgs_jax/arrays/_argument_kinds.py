@@ -1,7 +1,6 @@
 """Kinds of arguments, as annotations name them: arrays, numbers, words, paths, and objects of a class."""
 
 import inspect
-import os
 import types
 import typing
 from collections.abc import Callable, Sequence
@@ -14,6 +13,7 @@ import jax
 import numpy as np
 
 from sfgs_jax.arrays._arguments import is_array
+from sfgs_jax.arrays._input_files import can_be_path
 
 _NUMBERS = {"f": "floating-point numbers", "i": "integers", "b": "booleans", "c": "complex numbers"}
 """Words for kinds of numbers, by NumPy's letters."""
@@ -219,21 +219,8 @@ _RIGID = 1e-2
 
 
 def _is_path(value: Any, _: Sizes) -> bool:
-    if not isinstance(value, Path | str):
-        return False
-    try:
-        name = os.fsencode(value)
-    except UnicodeEncodeError:
-        return False
-    return (
-        0 < len(name) < _LONGEST_PATH
-        and b"\0" not in name
-        and max(map(len, name.split(b"/"))) <= _LONGEST_NAME
-    )
+    return isinstance(value, Path | str) and can_be_path(value)
 
-
-_LONGEST_PATH, _LONGEST_NAME = 4096, 255
-"""Bytes, of every usual file system."""
 
 _PATH = Kind("the path of a file or a folder, pathlib.Path or str", _is_path)
 _NUMBER = Kind("a number", _is_number)

@@ -3,11 +3,30 @@
 A pipe would wait for ever, and a device has no end. A file with a hole may say that it has a terabyte.
 """
 
+import os
 import stat
 from pathlib import Path
 
 _MOST_BYTES = 1 << 32
 _MOST_TEXT_BYTES = 1 << 29
+
+
+_LONGEST_PATH, _LONGEST_NAME = 4096, 255
+"""Bytes, of every usual file system."""
+
+
+def can_be_path(path: Path | str) -> bool:
+    """Whether a file system can have such a path: JSON can write half of a character, and zeros.
+
+    Args:
+        path: of a file or a folder, which need not exist.
+    """
+    try:
+        name = os.fsencode(path)
+    except UnicodeEncodeError:
+        return False
+    short = 0 < len(name) < _LONGEST_PATH and max(map(len, name.split(b"/"))) <= _LONGEST_NAME
+    return short and b"\0" not in name
 
 
 def require_file(path: Path, most: int = _MOST_BYTES) -> int:

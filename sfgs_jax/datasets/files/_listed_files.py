@@ -4,11 +4,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from sfgs_jax.arrays import InputError, excerpt, parsed_json
+from sfgs_jax.arrays import InputError, can_be_path, excerpt, parsed_json
 from sfgs_jax.datasets.files._pose_files import read_text
-
-# Bytes; the limit of every usual file system.
-_LONGEST_NAME = 255
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -37,15 +34,6 @@ def listed_file(folder: Path, name: str, source: Path | str) -> Path:
     """
     relative = os.path.normpath(name)
     outside = os.path.isabs(relative) or relative.split(os.sep)[0] in (os.curdir, os.pardir)
-    if outside or not _is_possible(relative):
+    if outside or not can_be_path(relative):
         raise InputError(f"{source} names {excerpt(name)}, which lies outside {folder}, or is no file.")
     return folder / relative
-
-
-def _is_possible(name: str) -> bool:
-    """Whether a file system can have a name: JSON can write half of a character, and zeros."""
-    try:
-        parts = os.fsencode(name).split(b"/")
-    except UnicodeEncodeError:
-        return False
-    return "\0" not in name and max(map(len, parts)) <= _LONGEST_NAME
