@@ -6,12 +6,12 @@ from sfgs_jax.geometry._camera import require_camera as require_camera
 from sfgs_jax.geometry._camera import same_camera as same_camera
 from sfgs_jax.geometry._camera_paths import orbit as orbit
 from sfgs_jax.geometry._camera_paths import smoothed as smoothed
+from sfgs_jax.geometry._depth_cleaning import clean_depth as clean_depth
+from sfgs_jax.geometry._depth_cleaning import has_depth as has_depth
 from sfgs_jax.geometry._depth_registration import register_depth as register_depth
 from sfgs_jax.geometry._downscale import downscale_depth as downscale_depth
 from sfgs_jax.geometry._downscale import downscale_rgb as downscale_rgb
 from sfgs_jax.geometry._frame import Frame as Frame
-from sfgs_jax.geometry._frame import clean_depth as clean_depth
-from sfgs_jax.geometry._frame import has_depth as has_depth
 from sfgs_jax.geometry._held_out import HELD_OUT_EVERY as HELD_OUT_EVERY
 from sfgs_jax.geometry._held_out import is_held_out as is_held_out
 from sfgs_jax.geometry._image_checks import require_depth as require_depth

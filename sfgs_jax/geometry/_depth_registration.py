@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from sfgs_jax.arrays import checked, from_ordered_bits, ordered_bits, require_least
 from sfgs_jax.geometry import se3
 from sfgs_jax.geometry._camera import Camera
-from sfgs_jax.geometry._frame import clean_depth
+from sfgs_jax.geometry._depth_cleaning import clean_depth
 from sfgs_jax.geometry._image_checks import require_depth
 
 # Neighbouring depth pixels on a slanted surface land a little further apart than their footprints are wide.

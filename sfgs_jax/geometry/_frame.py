@@ -5,15 +5,11 @@ from numbers import Real
 from typing import cast
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from sfgs_jax.arrays import InputError, checked, described, is_array, is_known
+from sfgs_jax.arrays import InputError, described, is_array, is_known
 from sfgs_jax.geometry._image_checks import require_colour, require_depth
-
-_NEAREST, _FARTHEST = 1e-6, 1e6
-"""Metres, of depth that can be one."""
 
 
 class Frame(eqx.Module):
@@ -76,22 +72,6 @@ class Frame(eqx.Module):
     def mask(self) -> Bool[Array | np.ndarray, "H W"]:
         """(H, W) pixels that hold an image, all of them where `valid` is None."""
         return np.ones(self.depth.shape, bool) if self.valid is None else self.valid
-
-
-@checked
-def has_depth(depth: Float[Array | np.ndarray, "*n"]) -> Bool[Array | np.ndarray, "*n"]:
-    """Pixels whose depth in metres is one: not missing, and within what single precision can square.
-
-    Depth below a micrometre or beyond 1000 km counts as missing.
-    """
-    return (depth > _NEAREST) & (depth < _FARTHEST)
-
-
-@checked
-def clean_depth(depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """Depth with everything set to 0 that is none by `has_depth`, and the mask of what is left."""
-    valid = jnp.asarray(has_depth(depth))
-    return jnp.where(valid, depth, 0), valid
 
 
 def _require_seconds(value: object, name: str) -> None:

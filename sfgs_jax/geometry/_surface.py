@@ -18,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry._camera import Camera
-from sfgs_jax.geometry._frame import clean_depth
+from sfgs_jax.geometry._depth_cleaning import clean_depth
 
 
 class Surface(eqx.Module):

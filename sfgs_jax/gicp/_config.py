@@ -99,7 +99,8 @@ class GicpConfig:
     """Least number of pixels that strides leave; they shrink for images with fewer. Per level."""
 
     max_iterations: tuple[int, ...] = (12, 8, 24, 24)
-    """Most steps; per level. From a good start a level ends after a few."""
+    """Most steps; per level. From a good start a level ends after a few. With none the motion stays as it is,
+    and has the derivative of a minimum."""
 
     optimizer: Optimizer = "gauss_newton"
     """Optimiser. `levenberg_marquardt` adapts the damping, and takes only steps that lower the cost."""
@@ -168,9 +169,10 @@ class GicpConfig:
         for name in ("levels", "radius", "min_inliers"):
             _require(self, name, _count(1), "a whole number of at least 1")
         _require(self, "skipped_halvings", _count(0), "a whole number of at least 0")
-        for name in ("strides", "min_points", "max_iterations"):
+        for name in ("strides", "min_points"):
             _require_each(self, name, _count(1), "a whole number of at least 1")
-        _require_each(self, "windows", _count(0), "a whole number of at least 0")
+        for name in ("windows", "max_iterations"):
+            _require_each(self, name, _count(0), "a whole number of at least 0")
         for name in ("edge_tolerance", "max_voxels", "kernel_width", "noise", "inlier_width"):
             _require(self, name, _positive, "a finite number above 0")
         for name in ("max_distance", "tolerance"):

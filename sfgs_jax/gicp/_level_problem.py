@@ -164,6 +164,8 @@ class LevelProblem(eqx.Module):
 
     def minimise(self, T_target_source: jaxlie.SE3, skipped: Bool[Array, ""]) -> Minimum:
         """Steps from a motion until they are short; a level that is skipped takes none."""
+        if self.max_iterations == 0:
+            return Minimum(T_target_source, jnp.asarray(0), skipped)
         if self.config.optimizer == "gauss_newton":
             return self._gauss_newton(T_target_source, skipped)
         return self._levenberg_marquardt(T_target_source, skipped)

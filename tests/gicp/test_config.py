@@ -78,8 +78,8 @@ def test_shares(value):
 @pytest.mark.parametrize(
     ("names", "wrong", "rule"),
     [
-        (("strides", "min_points", "max_iterations"), 0, "a whole number of at least 1"),
-        (("windows",), -1, "a whole number of at least 0"),
+        (("strides", "min_points"), 0, "a whole number of at least 1"),
+        (("windows", "max_iterations"), -1, "a whole number of at least 0"),
         (("max_distance", "tolerance"), 0.0, "a finite number above 0"),
         (("min_normal_cosine",), 1.5, "a number from -1 to 1"),
     ],
@@ -120,7 +120,7 @@ refused(PointsConfig, count, slots="many")
 refused(PointsConfig, "a finite number above 0", min_deviation=None)
 refused(GicpConfig, f"a tuple with at least one entry, each {count}", strides=[2, 1])
 refused(GicpConfig, f"a tuple with at least one entry, each {count}", strides=2)
-refused(GicpConfig, f"a tuple with at least one entry, each {count}", max_iterations=(2.5,))
+refused(GicpConfig, f"a tuple with at least one entry, each {count}", min_points=(2.5,))
 refused(GicpConfig, "one of gauss_newton, levenberg_marquardt", optimizer="adam")
 refused(GicpConfig, "one of point_to_point, point_to_plane, gicp", residual="plane")
 kernels = "none, huber, cauchy, geman_mcclure, tukey, dynamic_covariance_scaling"

@@ -13,6 +13,7 @@ from sfgs_jax.slam.frontend._frame_features import with_corrected_depth as with_
 from sfgs_jax.slam.frontend._image_signature import similarities as similarities
 from sfgs_jax.slam.frontend._joint_registration import Allowed as Allowed
 from sfgs_jax.slam.frontend._joint_registration import register as register
+from sfgs_jax.slam.frontend._keyframe_choice import needs_keyframe as needs_keyframe
 from sfgs_jax.slam.frontend._localisation import Found as Found
 from sfgs_jax.slam.frontend._localisation import Localised as Localised
 from sfgs_jax.slam.frontend._localisation import find_frame as find_frame
@@ -40,7 +41,6 @@ from sfgs_jax.slam.frontend._track import TrackInfo as TrackInfo
 from sfgs_jax.slam.frontend._track import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend._track import init_tracker as init_tracker
 from sfgs_jax.slam.frontend._track import lost_unseen as lost_unseen
-from sfgs_jax.slam.frontend._track import needs_keyframe as needs_keyframe
 from sfgs_jax.slam.frontend._track import track as track
 from sfgs_jax.slam.frontend._track_sequence import TrackedSequence as TrackedSequence
 from sfgs_jax.slam.frontend._track_sequence import track_sequence as track_sequence

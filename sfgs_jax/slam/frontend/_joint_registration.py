@@ -1,5 +1,6 @@
 """Registration of one frame to another: by keypoints, by GICP, and by both together."""
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -75,7 +76,30 @@ def register(
             keyframe by its looks it does not.
     """
     # A default that is left out would make another program.
-    return _register(params, source, target, guess, allowed, sweep, guess_known)
+    return _register(params, source, target, guess, allowed, sweep, guess_known, None)
+
+
+def found_again(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    guess: jaxlie.SE3,
+    allowed: Allowed,
+    sweep: gicp.Sweep | None,
+    T_target_source: jaxlie.SE3,
+) -> Registration:
+    """A registration whose motion is known, for its derivative: GICP takes no steps.
+
+    Args:
+        params: parameters of tracking.
+        source: the frame that was located.
+        target: the frame that it was located in.
+        guess: as of `register`.
+        allowed: as of `register`.
+        sweep: as of `register`.
+        T_target_source: the motion that `register` found.
+    """
+    return _register(params, source, target, guess, allowed, sweep, True, lax.stop_gradient(T_target_source))
 
 
 @partial(jax.jit, inline=True)
@@ -87,6 +111,7 @@ def _register(
     allowed: Allowed | None,
     sweep: gicp.Sweep | None,
     guess_known: Bool[Array, ""] | bool,
+    minimum: jaxlie.SE3 | None,
 ) -> Registration:
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
     source = source if sweep is None else _in_time(source, params, sweep.at(guess))
@@ -104,7 +129,7 @@ def _register(
         same_scale = _believed(*scale, allowed, config)
         return _without_surface(matched, start, helpful, many, scale, same_scale)
 
-    surface = _align(params, source, target, matched, start, helpful, many, sweep)
+    surface = _align(params, source, target, matched, start, helpful, many, sweep, minimum)
     # Holes in the target's depth speak neither for a motion nor against it.
     fraction = surface.inlier_fraction / jnp.maximum(1 - surface.unmeasured, 1e-3)
     fits = fraction >= config.min_inlier_fraction
@@ -218,17 +243,27 @@ def _align(
     helpful: Bool[Array, ""],
     many: Bool[Array, ""],
     sweep: gicp.Sweep | None,
+    minimum: jaxlie.SE3 | None,
 ) -> gicp.RegistrationResult:
     """GICP with the matches' quadratic form as a prior, or the motion model's where there are too few."""
-    config = params.config
+    config, settings = params.config, params.config.gicp
     weak = jnp.eye(6) / config.motion_model_sigma**2
     prior = gicp.MotionPrior(start, jnp.where(helpful, matched.information, weak))
     # Many keypoints bring the start within reach of the finer levels.
-    coarsest = jnp.where(helpful & many, 1, config.gicp.levels - 1)
+    coarsest = jnp.where(helpful & many, 1, settings.levels - 1)
     clouds = source.cloud, target.cloud
-    noise, settings = params.noise.surface, config.gicp
+    if minimum is not None:
+        start, coarsest = minimum, jnp.zeros_like(coarsest)
+        clouds = gicp.OrganisedCloud(clouds[0].levels[:1]), gicp.OrganisedCloud(clouds[1].levels[:1])
+        settings = replace(settings, levels=1, max_iterations=(0,))
     return gicp.align(
-        *clouds, start, prior=prior, coarsest=coarsest, sweep=sweep, noise=noise, config=settings
+        *clouds,
+        start,
+        prior=prior,
+        coarsest=coarsest,
+        sweep=sweep,
+        noise=params.noise.surface,
+        config=settings,
     )
 
 

@@ -17,7 +17,8 @@ from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._depth_scale import is_other_scale
 from sfgs_jax.slam.frontend._frame_features import feature_shapes, frame_features
-from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, register
+from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, found_again, register
+from sfgs_jax.slam.frontend._keyframe_choice import needs_keyframe, runs_out_of_keypoints
 from sfgs_jax.slam.frontend._rectification import rectified
 from sfgs_jax.slam.frontend._timing_estimate import timing_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
@@ -141,7 +142,7 @@ def settle(
     # A pose that rests on the motion model in part would pass its error on to every later frame.
     firm = (source != PoseSource.MOTION_MODEL) & ~jnp.asarray(relocalised)
     could_be_keyframe = tracked & seen.registrable & firm
-    wanted = needs_keyframe(found, params.config) | _runs_out_of_keypoints(found, seen, params.config)
+    wanted = needs_keyframe(found, params.config) | runs_out_of_keypoints(found, seen, params.config)
     new_keyframe = could_be_keyframe & (is_first | wanted)
     T = jnp.where(tracked & ~is_first, found.T_target_source.wxyz_xyz, tracker.T_reference_cam.wxyz_xyz)
     sweep = _sweep(params, tracker, tracker.T_reference_cam)
@@ -181,38 +182,6 @@ def lost_unseen(tracker: Tracker, elapsed: float) -> Tracker:
     )
 
 
-@partial(jax.jit, static_argnames="config", inline=True)
-def needs_keyframe(found: Registration, config: TrackingConfig) -> Bool[Array, ""]:
-    """True if the camera has left the reference so far that the frame should be a keyframe.
-
-    Args:
-        found: registration of the frame to its reference.
-        config: settings.
-    """
-    moved = se3.log(found.T_target_source)
-    little = found.inlier_fraction < config.keyframe_inlier_fraction
-    far = jnp.linalg.norm(moved[:3]) > config.keyframe_translation
-    turned = jnp.linalg.norm(moved[3:]) > config.keyframe_rotation
-    return (config.use_surface & little) | far | turned
-
-
-def _runs_out_of_keypoints(
-    found: Registration, seen: FrameFeatures, config: TrackingConfig
-) -> Bool[Array, ""]:
-    """True if the reference's keypoints will soon be too few to be believed, and the frame has many others.
-
-    A pose that they no longer support makes no keyframe, so it has to be taken before.
-    """
-    left, features = found.matched.num_inliers, config.features
-    dtype = found.T_target_source.wxyz_xyz.dtype
-    # Where the surface leaves a direction free, the keypoints decide alone.
-    share = jnp.where(found.num_free > 0, features.min_inlier_share_alone, 0)
-    least = jnp.maximum(features.min_inliers_alone, share * found.matched.num_matches.astype(dtype))
-    by_keypoints = (found.source == PoseSource.JOINT) | (found.source == PoseSource.KEYPOINTS)
-    more = jnp.sum(seen.keypoints.measured, dtype=jnp.int32) > 2 * left
-    return by_keypoints & (left.astype(dtype) < config.keyframe_margin * least) & more
-
-
 def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
     """Sources of the next frame's pose that the frames before allow.
 
@@ -246,7 +215,8 @@ def _starts(tracker: Tracker) -> Float[Array, "4 7"]:
 _Inputs = tuple[TrackerParams, Tracker, FrameFeatures]
 
 
-def _register_at(inputs: _Inputs, attempt: Int[Array, ""]) -> Registration:
+def _register_at(inputs: _Inputs, attempt: Int[Array, ""], found: jaxlie.SE3 | None = None) -> Registration:
+    """The registration of an attempt; where its motion was found before, only its derivative is new."""
     params, tracker, seen = inputs
     by_last = attempt >= _BY_LAST
     target = lax.cond(
@@ -262,7 +232,10 @@ def _register_at(inputs: _Inputs, attempt: Int[Array, ""]) -> Registration:
         by_last, tracker.last_motion.known, tracker.reference_motions.known[tracker.current]
     )
     sweep = _sweep(params, tracker, before, rectified)
-    return register(params, seen, target, guess, allowed_sources(tracker, params.config), sweep)
+    allowed = allowed_sources(tracker, params.config)
+    if found is not None:
+        return found_again(params, seen, target, guess, allowed, sweep, found)
+    return register(params, seen, target, guess, allowed, sweep)
 
 
 def _sweep(
@@ -366,7 +339,8 @@ def _first_success_jvp(primals: tuple[_Inputs], tangents: tuple) -> tuple:
     (inputs,), (rates,) = primals, tangents
     found, attempt = _first_success(inputs)
     tried = jnp.clip(attempt, 0, 2 * _BY_LAST - 1)
-    _, rate = eqx.filter_jvp(lambda moving: _register_at(moving, tried), (inputs,), (rates,))
+    motion = found.T_target_source
+    _, rate = eqx.filter_jvp(lambda moving: _register_at(moving, tried, motion), (inputs,), (rates,))
     return (found, attempt), (rate, None)
 
 
