@@ -66,12 +66,8 @@ def main(
     before, after = (
         [float(psnr(a, rgb)) for a, (rgb, _) in zip(n, views, strict=True)] for n in (first, last)
     )
-    if picture is not None:  # a row for each view: before, after, and the frame itself
-        rows = [
-            jnp.concatenate([a, b, rgb], axis=1) for a, b, (rgb, _) in zip(first, last, views, strict=True)
-        ]
-        image = np.clip(np.asarray(jnp.concatenate(rows)), 0, 1)
-        cv2.imwrite(picture, np.round(255 * image[..., ::-1]).astype(np.uint8))
+    if picture is not None:
+        save(picture, [[a, b, rgb] for a, b, (rgb, _) in zip(first, last, views, strict=True)])
     print(f"{int(gaussians.valid.sum())} Gaussians, {steps} steps")
     print(f"fitted view:   {before[0]:.1f} dB before, {after[0]:.1f} dB after")
     print(f"held-out view: {before[1]:.1f} dB before, {after[1]:.1f} dB after")
@@ -81,6 +77,12 @@ def main(
         "held_out_before": before[1],
         "held_out_after": after[1],
     }
+
+
+def save(path, rows):
+    """A row for each view: before, after, and the frame itself."""
+    image = np.clip(np.concatenate([np.concatenate(row, axis=1) for row in rows]), 0, 1)
+    cv2.imwrite(path, np.round(255 * image[..., ::-1]).astype(np.uint8))
 
 
 if __name__ == "__main__":

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from experiments.fuzz_captures import LZFSE, captures
+from experiments.fuzz_recordings import POSE, TUM, png_of, recordings, text_of
 from sfgs_jax import factor_graph, gicp, sensors, slam, splatting, superfeats
 from sfgs_jax.arrays import FrameError
 from sfgs_jax.cli import RunConfig, read_config, to_json
@@ -28,10 +28,6 @@ from sfgs_jax.geometry import read_covariances, read_tum
 from sfgs_jax.slam.run import read_tensors, write_tensors
 from sfgs_jax.splatting.mesh import Mesh, load_mesh, save_mesh
 
-_WIDTH, _HEIGHT = 24, 16
-_CAMERA = {"fx": 20.0, "fy": 20.0, "cx": 11.5, "cy": 7.5}
-_POSE = np.array([[1.0, 0, 0, 0.5], [0, 1, 0, 0.25], [0, 0, 1, -1], [0, 0, 0, 1]])
-_TUM = "# poses\n" + "".join(f"{n / 30:.6f} 0.5 0.25 -1 0 0 0 1\n" for n in range(3))
 _LARGEST = 1e12
 """Beyond it a number that was read is garbage."""
 
@@ -58,6 +54,10 @@ class Garbage(Exception):
 def formats() -> dict[str, Format]:
     """All formats by name."""
     return {**_recordings(), **_captures(), **_single_files()}
+
+
+def _recordings() -> dict[str, Format]:
+    return {name: Format(files, _targets(files), _recording) for name, files in recordings().items()}
 
 
 def _captures() -> dict[str, Format]:
@@ -104,151 +104,6 @@ def _recording(folder: Path) -> None:
             raise Garbage("depth beyond 1000 km")
 
 
-def _png(image: np.ndarray) -> bytes:
-    done, content = cv2.imencode(".png", image)
-    assert done
-    return content.tobytes()
-
-
-def _jpg(image: np.ndarray) -> bytes:
-    done, content = cv2.imencode(".jpg", image)
-    assert done
-    return content.tobytes()
-
-
-def _npy(array: np.ndarray) -> bytes:
-    content = io.BytesIO()
-    np.save(content, array)
-    return content.getvalue()
-
-
-def _text(matrix: np.ndarray) -> str:
-    return "\n".join(" ".join(f"{x:.9g}" for x in row) for row in matrix) + "\n"
-
-
-def _recordings() -> dict[str, Format]:
-    random = np.random.default_rng(0)
-    colour = random.integers(0, 256, (_HEIGHT, _WIDTH, 3), dtype=np.uint8)
-    depth = random.integers(1500, 2500, (_HEIGHT, _WIDTH), dtype=np.uint16)
-    metres = (depth / 1000).astype(np.float32)
-    camera = json.dumps({**_CAMERA, "depth_scale": 1000.0, "fps": 30.0}).encode()
-    lens = json.dumps({**_CAMERA, "distortion": [0.01, 0.0, 0.0, 0.0]}).encode()
-    rows = b"".join(" ".join(f"{x:g}" for x in _POSE.ravel()).encode() + b"\n" for _ in range(2))
-    png, jpg, d16, npy = _png(colour), _jpg(colour), _png(depth), _npy(metres)
-    K = np.array([[20.0, 0, 11.5, 0], [0, 20, 7.5, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    two = range(2)
-    found = {
-        "tum": {
-            "rgb.txt": b"# t f\n0.0 rgb/0.png\n0.0333 rgb/1.png\n",
-            "depth.txt": b"0.0 depth/0.png\n0.0333 depth/1.png\n",
-            "groundtruth.txt": _TUM.encode(),
-            "camera.json": camera,
-            **{f"rgb/{n}.png": png for n in two},
-            **{f"depth/{n}.png": d16 for n in two},
-        },
-        "folder, matrices": {
-            "camera.json": camera,
-            "poses.txt": rows,
-            **{f"rgb/{n}.jpg": jpg for n in two},
-            **{f"depth/{n}.png": d16 for n in two},
-        },
-        "folder, .npy and lens": {
-            "camera.json": lens,
-            "poses.txt": _TUM.encode(),
-            **{f"rgb/{n}.png": png for n in two},
-            **{f"depth/{n}.npy": npy for n in two},
-        },
-        "replica": {
-            "cam_params.json": json.dumps(
-                {"camera": {**_CAMERA, "w": _WIDTH, "h": _HEIGHT, "scale": 1000.0}}
-            ).encode(),
-            "traj.txt": rows,
-            **{f"results/frame{n:06d}.jpg": jpg for n in two},
-            **{f"results/depth{n:06d}.png": d16 for n in two},
-        },
-        "scannet": {
-            "intrinsic/intrinsic_color.txt": _text(K).encode(),
-            "intrinsic/intrinsic_depth.txt": _text(K * [[0.5], [0.5], [1], [1]]).encode(),
-            **{f"pose/{n}.txt": _text(_POSE).encode() for n in two},
-            **{f"color/{n}.jpg": jpg for n in two},
-            **{f"depth/{n}.png": _png(depth[::2, ::2]) for n in two},
-        },
-        "7scenes": {
-            **{f"frame-{n:06d}.color.png": _png(np.zeros((480, 640, 3), np.uint8)) for n in two},
-            **{f"frame-{n:06d}.depth.png": _png(np.full((480, 640), 2000, np.uint16)) for n in two},
-            **{f"frame-{n:06d}.pose.txt": _text(_POSE).encode() for n in two},
-        },
-        "icl_nuim": {
-            "associations.txt": b"0 depth/0.png 0 rgb/0.png\n1 depth/1.png 1 rgb/1.png\n",
-            "livingRoom0.gt.freiburg": b"0 0.5 0.25 -1 0 0 0 1\n1 0.5 0.25 -1 0 0 0 1\n",
-            "own.json": camera,
-            **{f"rgb/{n}.png": png for n in two},
-            **{f"depth/{n}.png": d16 for n in two},
-        },
-        "open3d": {
-            "intrinsic.json": json.dumps(
-                {"width": _WIDTH, "height": _HEIGHT, "intrinsic_matrix": K[:3, :3].T.ravel().tolist()}
-            ).encode(),
-            "trajectory.log": "".join(f"{n} {n} {n + 1}\n{_text(_POSE)}" for n in two).encode(),
-            **{f"color/{n:05d}.png": png for n in two},
-            **{f"depth/{n:05d}.png": d16 for n in two},
-        },
-        "euroc": {
-            "mav0/cam0/data.csv": b"#ns,file\n1000000000,0.png\n1033000000,1.png\n",
-            "mav0/depth0/data.csv": b"#ns,file\n1000000000,0.png\n1033000000,1.png\n",
-            "mav0/cam0/sensor.yaml": (
-                f"camera_model: pinhole\nresolution: [{_WIDTH}, {_HEIGHT}]\n"
-                "intrinsics: [20.0, 20.0, 11.5, 7.5]\n"
-                "T_BS:\n  data: [1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n"
-            ).encode(),
-            "mav0/state_groundtruth_estimate0/data.csv": (
-                b"#t,x,y,z,w,x,y,z\n1000000000,0,0,1,1,0,0,0\n1050000000,0,0,1,1,0,0,0\n"
-            ),
-            **{f"mav0/cam0/data/{n}.png": png for n in two},
-            **{f"mav0/depth0/data/{n}.png": d16 for n in two},
-        },
-        "nerfstudio": {
-            "transforms.json": json.dumps(
-                {
-                    **{"w": _WIDTH, "h": _HEIGHT, "fl_x": 20.0, "fl_y": 20.0, "cx": 12, "cy": 8, "k1": 0.01},
-                    "frames": [
-                        {
-                            "file_path": f"images/{n}.png",
-                            "depth_file_path": f"depth/{n}.png",
-                            "transform_matrix": _POSE.tolist(),
-                        }
-                        for n in two
-                    ],
-                }
-            ).encode(),
-            **{f"images/{n}.png": png for n in two},
-            **{f"depth/{n}.png": d16 for n in two},
-        },
-        "colmap": {
-            "sparse/0/cameras.txt": f"1 PINHOLE {_WIDTH} {_HEIGHT} 20 20 12 8\n".encode(),
-            "sparse/0/images.txt": b"1 1 0 0 0 0.5 0 1 1 0.png\n\n2 1 0 0 0 0.5 0 1 1 1.png\n\n",
-            **{f"images/{n}.png": png for n in two},
-            "stereo/depth_maps/0.png.geometric.bin": f"{_WIDTH}&{_HEIGHT}&1&".encode() + metres.tobytes(),
-            "depth/1.png": d16,
-        },
-        "scannetpp": {
-            "pose_intrinsic_imu.json": json.dumps(
-                {
-                    f"frame_{n:06d}": {
-                        "timestamp": n / 30,
-                        "pose": _POSE.tolist(),
-                        "intrinsic": K[:3, :3].tolist(),
-                    }
-                    for n in two
-                }
-            ).encode(),
-            **{f"rgb/frame_{n:06d}.png": png for n in two},
-            **{f"depth/frame_{n:06d}.png": d16 for n in two},
-        },
-    }
-    return {name: Format(files, _targets(files), _recording) for name, files in found.items()}
-
-
 def _targets(files: Mapping[str, bytes]) -> tuple[str, ...]:
     """All small files, and the first image of each kind. Text has more to damage, so it counts twice."""
     small = [
@@ -262,7 +117,20 @@ def _targets(files: Mapping[str, bytes]) -> tuple[str, ...]:
     return (*small, *small, *images.values())
 
 
+_File = tuple[str, bytes, Callable[[Path], Any]]
+"""Name and content of a file, and how it is read."""
+
+
 def _single_files() -> dict[str, Format]:
+    files = {**_map_files(), **_shape_files(), **_run_files()}
+    single = {
+        name: Format({file: content}, (file,), _of_file(file, load))
+        for name, (file, content, load) in files.items()
+    }
+    return {**single, "pair list": _pair_list(), "ScanNet-1500 npz": _scannet_pairs()}
+
+
+def _map_files() -> dict[str, _File]:
     random = np.random.default_rng(1)
     n = 8
     gaussians = splatting.Gaussians(
@@ -273,11 +141,7 @@ def _single_files() -> dict[str, Format]:
         jnp.asarray(random.normal(size=(n, 4, 3)), jnp.float32),
         jnp.asarray(np.ones(n, bool)),
     )
-    points = random.normal(size=(20, 3))
-    config = RunConfig("synthetic", "synthetic", ReaderOptions(), slam.SlamConfig(), None)
-    tensors = {"a": np.arange(40, dtype=np.float32), "b": np.asarray(5), "c": np.zeros((0, 7))}
-    weights = superfeats.load_weights()
-    found: dict[str, tuple[str, bytes, Callable[[Path], Any]]] = {
+    return {
         "splat PLY": ("map.ply", _written(splatting.save_ply, gaussians), _gaussians(splatting.load_ply)),
         ".splat": ("map.splat", _written(splatting.save_splat, gaussians), _gaussians(splatting.load_splat)),
         "SPZ": ("map.spz", _written(splatting.save_spz, gaussians), _gaussians(splatting.load_spz)),
@@ -286,7 +150,6 @@ def _single_files() -> dict[str, Format]:
             _written(splatting.save_gltf, gaussians),
             _gaussians(splatting.load_gltf),
         ),
-        "glTF, a mesh": ("mesh.glb", _mesh_glb(points), lambda path: judged(load_mesh(path).vertices)),
         "coloured points": (
             "points.ply",
             _written(splatting.save_points, gaussians),
@@ -297,6 +160,26 @@ def _single_files() -> dict[str, Format]:
             gzip.decompress(_written(splatting.save_spz, gaussians)),
             _gaussians(_load_raw_spz),
         ),
+    }
+
+
+def _shape_files() -> dict[str, _File]:
+    points = np.random.default_rng(1).normal(size=(20, 3))
+    return {
+        "glTF, a mesh": ("mesh.glb", _mesh_glb(points), lambda path: judged(load_mesh(path).vertices)),
+        "points, PLY": ("p.ply", _points_ply(points), _points),
+        "points, XYZ": ("p.xyz", text_of(points).encode(), _points),
+        "mesh, OBJ": ("m.obj", _mesh_obj(points), _points),
+        "mesh, OFF": ("m.off", b"OFF\n20 1 0\n" + text_of(points).encode() + b"3 0 1 2\n", _points),
+        "mesh, STL": ("m.stl", bytes(80) + (4).to_bytes(4, "little") + bytes(4 * 50), _points),
+    }
+
+
+def _run_files() -> dict[str, _File]:
+    config = RunConfig("synthetic", "synthetic", ReaderOptions(), slam.SlamConfig(), None)
+    tensors = {"a": np.arange(40, dtype=np.float32), "b": np.asarray(5), "c": np.zeros((0, 7))}
+    weights = superfeats.load_weights()
+    return {
         "g2o": ("graph.g2o", _graph().encode(), _graph_of),
         "weights": (
             "weights.safetensors",
@@ -316,28 +199,18 @@ def _single_files() -> dict[str, Format]:
         ),
         "exposure.txt": ("exposure.txt", b"# t r g b\n0.0 1.0 1.1 0.9\n0.1 1.0 1.0 1.0\n", _gains),
         "frames.csv": ("frames.csv", _frames().encode(), read_frames),
-        "trajectory.txt": ("trajectory.txt", _TUM.encode(), lambda path: judged(read_tum(path).poses)),
+        "trajectory.txt": ("trajectory.txt", TUM.encode(), lambda path: judged(read_tum(path).poses)),
         "trajectory_covariance.txt": (
             "trajectory_covariance.txt",
             "".join(f"{i}.0 " + " ".join(["1e-6"] * 21) + "\n" for i in range(3)).encode(),
             lambda path: judged(read_covariances(path)),
         ),
-        "points, PLY": ("p.ply", _points_ply(points), _points),
-        "points, XYZ": ("p.xyz", _text(points).encode(), _points),
-        "mesh, OBJ": ("m.obj", _mesh_obj(points), _points),
-        "mesh, OFF": ("m.off", b"OFF\n20 1 0\n" + _text(points).encode() + b"3 0 1 2\n", _points),
-        "mesh, STL": ("m.stl", bytes(80) + (4).to_bytes(4, "little") + bytes(4 * 50), _points),
         "state file": (
             "state.safetensors",
             _written(lambda path, x: write_tensors(path, x, {"version": "1"}), tensors),
             _tensors(tensors),
         ),
     }
-    single = {
-        name: Format({file: content}, (file,), _of_file(file, load))
-        for name, (file, content, load) in found.items()
-    }
-    return {**single, "pair list": _pair_list(), "ScanNet-1500 npz": _scannet_pairs()}
 
 
 def _frames() -> str:
@@ -435,7 +308,7 @@ def _tensors(written: Mapping[str, np.ndarray]) -> Callable[[Path], None]:
 
 def _pair_list() -> Format:
     numbers = "0 0 20 0 12 0 20 8 0 0 1 20 0 12 0 20 8 0 0 1 1 0 0 0.5 0 1 0 0 0 0 1 0 0 0 0 1"
-    image = _png(np.zeros((4, 4, 3), np.uint8))
+    image = png_of(np.zeros((4, 4, 3), np.uint8))
     files = {
         "pairs.txt": f"a.png b.png {numbers}\nb.png a.png {numbers}\n".encode(),
         "a.png": image,
@@ -455,13 +328,13 @@ def _scannet_pairs() -> Format:
     content = io.BytesIO()
     np.savez(content, name=np.array([[707, 0, 0, 15]]))
     scene = "scannet_test_1500/scene0707_00"
-    image = _png(np.zeros((4, 4, 3), np.uint8))
-    other = _POSE + np.diag([0, 0, 0.5], 1)
+    image = png_of(np.zeros((4, 4, 3), np.uint8))
+    other = POSE + np.diag([0, 0, 0.5], 1)
     files = {
         "test.npz": content.getvalue(),
         f"{scene}/intrinsic/intrinsic_color.txt": b"20 0 12\n0 20 8\n0 0 1\n",
-        f"{scene}/pose/0.txt": _text(_POSE).encode(),
-        f"{scene}/pose/15.txt": _text(other).encode(),
+        f"{scene}/pose/0.txt": text_of(POSE).encode(),
+        f"{scene}/pose/15.txt": text_of(other).encode(),
         f"{scene}/color/0.jpg": image,
         f"{scene}/color/15.jpg": image,
     }

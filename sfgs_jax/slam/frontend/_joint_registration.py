@@ -138,11 +138,10 @@ def _register(
     # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
     keypoints &= (num_free == 0) | (share >= features.min_inlier_share_alone) | ~fits
     T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
-    fits &= jnp.all(jnp.isfinite(T.wxyz_xyz))
     evidence = Evidence(
         keypoints=keypoints,
         many_keypoints=many,
-        surface=fits,
+        surface=fits & jnp.all(jnp.isfinite(T.wxyz_xyz)),
         agree=_agree(params, source, target, matched, T, sweep),
         surface_alone=_stands_alone(surface, _apart(guess, T), config),
         free=num_free > 0,
