@@ -33,6 +33,7 @@ from sfgs_jax.arrays._input_files import file_bytes as file_bytes
 from sfgs_jax.arrays._input_files import file_text as file_text
 from sfgs_jax.arrays._input_files import require_file as require_file
 from sfgs_jax.arrays._json_text import parsed_json as parsed_json
+from sfgs_jax.arrays._open_files import allow_open_files as allow_open_files
 from sfgs_jax.arrays._prefix_sums import prefix_sums as prefix_sums
 from sfgs_jax.arrays._printing import Text as Text
 from sfgs_jax.arrays._printing import is_known as is_known

@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from safetensors.numpy import save
 
-from sfgs_jax.arrays import InputError, excerpt, parsed_json, require_file, write_atomically
+from sfgs_jax.arrays import InputError, allow_open_files, excerpt, parsed_json, require_file, write_atomically
 
 _DTYPES = {"BOOL": "?", "U8": "<u1", "I16": "<i2", "I32": "<i4", "I64": "<i8", "F32": "<f4", "F64": "<f8"}
 _LENGTH_BYTES = 8
@@ -55,6 +55,7 @@ def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """
     try:
         require_file(Path(path), _MOST_BYTES)
+        allow_open_files()
         content = np.memmap(path, np.uint8, mode="r")
         start = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES].tobytes(), "little")
         if start > len(content):
