@@ -58,7 +58,7 @@ def killed_runs(kills: int, folder: Path, seed: int) -> Iterator[tuple[list[str]
     """
     random = Random(seed)
     whole, trace = folder / "whole", folder / "trace.txt"
-    _command(whole, trace)
+    _command(whole, trace, "--overwrite")
     _, seconds = _command(whole, trace, "--overwrite")
     done = 0
     while done < kills:
