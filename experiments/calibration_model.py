@@ -29,12 +29,12 @@ PIXEL_SIGMA = 0.5
 INVERSE_DEPTH_SIGMA = 0.005
 SURFACE_SIGMA = 0.001
 """Noise of the inverse depth of a plane, 1/m."""
-SURFACE_STRIDE = 4
-REDUNDANCY = (5 / SURFACE_STRIDE) ** 2
-"""Neighbouring planes share most of the pixels that they were fitted to."""
+PLANE_WIDTH = 5
+"""Pixels; planes that are nearer to each other share some of those that they were fitted to."""
+SURFACE_COLUMNS, BRIGHTNESS_COLUMNS = 40, 53
+"""Columns of the points that are compared, whatever the size of the images."""
 BRIGHTNESS_SIGMA = 0.15
 """Noise of the images of brightness, whose contrast is 1 everywhere."""
-BRIGHTNESS_STRIDE = 3
 FOCAL_SIGMA, SHIFT_SIGMA, TURN_SIGMA, TIME_SIGMA = 0.05, 0.02, 0.035, 0.02
 OFFSET_SIGMA, OFFSET_STEP_SIGMA = 0.005, 0.0025
 """Priors of a calibration: shares, metres, radians, seconds and 1/m."""
@@ -220,8 +220,12 @@ class _Fixed(NamedTuple):
     seen: Float[Array, "B 2"]
 
 
-def _grid(view: View, stride: int = SURFACE_STRIDE) -> Int[Array, "S 2"]:
-    height, width = view.valid.shape
+def _stride(view: View, columns: int) -> int:
+    return max(1, view.valid.shape[1] // columns)
+
+
+def _grid(view: View, columns: int = SURFACE_COLUMNS) -> Int[Array, "S 2"]:
+    (height, width), stride = view.valid.shape, _stride(view, columns)
     steps = jnp.arange(0, width, stride), jnp.arange(0, height, stride)
     return jnp.stack(jnp.meshgrid(*steps), axis=-1).reshape(-1, 2)
 
@@ -232,7 +236,7 @@ def _fixed(sensors: _Sensors, views: tuple[View, View], T: jaxlie.SE3) -> _Fixed
     points, _, _ = _surface(sensors, first, _grid(first))
     seen = sensors.camera.project(se3.transform(T, points.T))
     met = _depth_pixels(sensors, second, seen, jnp.zeros(len(seen)))
-    pixels = _grid(first, BRIGHTNESS_STRIDE).astype(first.image.dtype)
+    pixels = _grid(first, BRIGHTNESS_COLUMNS).astype(first.image.dtype)
     bright = _depth_pixels(sensors, first, pixels, _colour_times(sensors, first, pixels))
     points, times, _ = _points_at(sensors, first, pixels, bright)
     moved = se3.transform(T, carried(points, first.twist, times).T)
@@ -275,7 +279,7 @@ def _brightness(
     """Whitened changes of brightness from the first view to the second, and which pixels have one."""
     first, second = views
     height, width = first.image.shape
-    pixels = _grid(first, BRIGHTNESS_STRIDE)
+    pixels = _grid(first, BRIGHTNESS_COLUMNS)
     points, times, good = _points_at(sensors, first, pixels.astype(first.image.dtype), fixed.bright)
     moved = se3.transform(T, carried(points, first.twist, times).T).T
     moved = carried(moved, second.twist, -_colour_times(sensors, second, fixed.seen))
@@ -313,7 +317,8 @@ def _pair_equations(
     values, existing = residuals(x)
     jacobians = jax.jacfwd(lambda x: residuals(x)[0])(x)
     hessian, gradient, squares = jnp.zeros((len(x), len(x))), jnp.zeros(len(x)), []
-    shares = 1 - bright, 1 / REDUNDANCY, bright
+    redundancy = max(1.0, (PLANE_WIDTH / _stride(views[0], SURFACE_COLUMNS)) ** 2)
+    shares = 1 - bright, 1 / redundancy, bright
     for value, there, jacobian, share in zip(values, existing, jacobians, shares, strict=True):
         square = jnp.sum(value**2, axis=0)
         weight = jnp.where(there, kernel_weight(square, "geman_mcclure", width), 0)
