@@ -44,7 +44,7 @@ def compare(motion, inputs: tuple, rng, *, step: float) -> None:
     )
     expected = (up - down) / (2 * step)
     assert np.abs(expected).max() > 1e-4
-    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
 def test_with_respect_to_depth(float64, rng):
