@@ -131,7 +131,11 @@ def _with_sizes(
     batches: list[tuple[list[Node], int]], given: tuple[BatchSize, ...], least: BatchSize
 ) -> list[_NodeBatch]:
     """Batches with the size of their fronts; the last is the root, which has no boundary."""
-    known = given if len(given) == len(batches) else (least,) * len(batches)
+    known = given
+    if len(given) != len(batches):
+        # Uneven cuts leave some leaves large, and loops the root; there the room costs little.
+        roomy = 2 * least[0], least[1]
+        known = (roomy, *(least,) * (len(batches) - 2), roomy)[-len(batches) :]
     sized = []
     for (nodes, count), (own, boundary) in zip(batches, known, strict=True):
         o = capacity_for(_with_room(max((len(node.own) for node in nodes), default=0)), own)

@@ -67,7 +67,8 @@ def dissect(rows: Int[np.ndarray, " B"], columns: Int[np.ndarray, " B"], num_pos
     )
     deepest = max(0, (num_poses // LEAF_POSES).bit_length() - 1)
     depths: list[list[Node]] = [[] for _ in range(deepest + 1)]
-    _collect(_split(adjacency, np.arange(num_poses), 0, deepest), depths)
+    tied = np.diff(adjacency.indptr) > 0
+    _collect(_split(adjacency, np.flatnonzero(tied), np.flatnonzero(~tied), 0, deepest), depths)
     from_leaves = [node for nodes in reversed(depths) for node in nodes]
     order = np.full(num_poses + 1, num_poses)
     count = 0
@@ -83,15 +84,32 @@ def dissect(rows: Int[np.ndarray, " B"], columns: Int[np.ndarray, " B"], num_pos
     return EliminationTree(depths, order)
 
 
-def _split(adjacency: sparse.csr_array, poses: Int[np.ndarray, " n"], depth: int, deepest: int) -> Node:
-    """Tree over some poses."""
-    if depth == deepest or len(poses) <= LEAF_POSES:
-        return Node(poses, depth)
-    separator, parts = vertex_separator(adjacency[poses][:, poses])
-    if not all(part.any() for part in parts):
-        return Node(poses, depth)  # a complete graph has no separator
-    node = Node(poses[separator], depth)
-    node.children = [_split(adjacency, poses[part], depth + 1, deepest) for part in parts]
+def _split(
+    adjacency: sparse.csr_array,
+    poses: Int[np.ndarray, " n"],
+    single: Int[np.ndarray, " m"],
+    depth: int,
+    deepest: int,
+) -> Node:
+    """Tree over some poses, and single ones that are tied to none: they fill the smaller part.
+
+    A graph that grows has many of those at first. Kept together they would make a leaf of their own size.
+    """
+    if depth == deepest or len(poses) + len(single) <= LEAF_POSES:
+        return Node(np.concatenate([poses, single]), depth)
+    separator, parts = poses[:0], [poses[:0], poses[:0]]
+    if len(poses) > LEAF_POSES:
+        found, sides = vertex_separator(adjacency[poses][:, poses])
+        if all(side.any() for side in sides):
+            separator, parts = poses[found], [poses[side] for side in sides]
+    if not len(parts[0]):
+        separator = poses  # few poses, or a complete graph, which has no separator
+        if not len(single):
+            return Node(separator, depth)
+    node = Node(separator, depth)
+    first = np.clip((len(single) + len(parts[1]) - len(parts[0])) // 2, 0, len(single))
+    for part, alone in zip(parts, (single[:first], single[first:]), strict=True):
+        node.children.append(_split(adjacency, part, alone, depth + 1, deepest))
     return node
 
 
