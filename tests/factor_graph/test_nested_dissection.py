@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jax.extend.core import jaxprs_in_params
 
-from sfgs_jax.factor_graph import FactorGraph, RelativePose
+from sfgs_jax.factor_graph import Capacities, FactorGraph, RelativePose
 from sfgs_jax.factor_graph.problem import minimum_vertex_cover
 from sfgs_jax.factor_graph.solver import multifrontal_cholesky, multifrontal_solve
 
@@ -27,6 +27,27 @@ def test_no_fewer_vertices_cover_the_edges_of_a_cut(rng):
         covers = (np.array(c, bool) for c in product([False, True], repeat=10))
         fewest = min(c.sum() for c in covers if not across[~c][:, ~c].any())
         assert chosen.sum() == fewest
+
+
+def test_a_way_that_grows_keeps_its_plan_until_the_room_is_full(rng):
+    """Also that of two poses, for which the solver is compiled ahead."""
+    room = 4 * 512
+    sizes = set()
+    for count in (2, 260, 300, 400, 510):
+        back = [np.stack([np.arange(count - step), np.arange(step, count)], axis=1) for step in (1, 2, 3)]
+        loops = np.stack([rng.integers(0, count, 5), rng.integers(0, count, 5)], axis=1)
+        ends = np.concatenate([*back, loops] if count > 2 else back[:1])
+        ends = ends[ends[:, 0] != ends[:, 1]]
+        padded = np.tile([[0, 1]], (room, 1))
+        padded[: len(ends)] = ends
+        edges = RelativePose(
+            padded, jaxlie.SE3.identity((room,)), jnp.eye(6), valid=np.arange(room) < len(ends)
+        )
+        capacities = Capacities.for_trajectory(edges=room)
+        plan = FactorGraph([edges], num_poses=512, capacities=capacities, linear_solver="sparse").plan
+        assert plan is not None
+        sizes.add(plan.sizes)
+    assert len(sizes) == 1
 
 
 def ranks(jaxpr):
