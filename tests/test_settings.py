@@ -30,7 +30,7 @@ NOT_ZERO = {
     *("FeaturesConfig.max_keypoints", "FeaturesConfig.max_rigid_matches", "FeaturesConfig.kernel_width"),
     *("FeaturesConfig.pixel_sigma", "FeaturesConfig.max_distance", "FeaturesConfig.inlier_pixels"),
     *("TrackingConfig.num_references", "TrackingConfig.motion_model_sigma", "TrackingConfig.delay_sigma"),
-    *("GicpConfig.levels", "GicpConfig.radius", "GicpConfig.strides", "GicpConfig.max_iterations"),
+    *("GicpConfig.levels", "GicpConfig.radius", "GicpConfig.strides"),
     *("GicpConfig.noise", "GicpConfig.kernel_width", "GicpConfig.max_distance", "GicpConfig.epsilon"),
     *("GraphConfig.capacity", "GraphConfig.registrations_per_frame", "GraphConfig.backlog"),
     *("GraphConfig.edge_sigma_metres", "GraphConfig.kernel_width", "GraphConfig.max_landmarks"),
