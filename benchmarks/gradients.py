@@ -29,10 +29,12 @@ class Frames:
 
     def __init__(self, width: int, count: int) -> None:
         recording = datasets.SyntheticRecording(num_frames=120, width=width, height=width * 3 // 4)
-        frames = [recording[i] for i in range(count)]
+        first, *frames = [recording[i] for i in range(count + 1)]
         self.params = slam.tracker_params(recording.camera, slam.TrackingConfig())
         self.weights, self.rest = eqx.partition(self.params, eqx.is_inexact_array)
-        self.tracker = slam.init_tracker(self.params)
+        # A first frame has no registration that could have a gradient.
+        seen = jnp.asarray(first.rgb), jnp.asarray(first.depth), jnp.float32(0)
+        self.tracker, _ = slam.track(self.params, slam.init_tracker(self.params), *seen)
         self.images = jnp.stack([jnp.asarray(f.rgb) for f in frames])
         self.depths = jnp.stack([jnp.asarray(f.depth) for f in frames])
         self.elapsed = jnp.full(count, 1 / 30, jnp.float32)
