@@ -8,9 +8,7 @@ import numpy as np
 
 from sfgs_jax.arrays import FrameError, checked, require_least
 from sfgs_jax.datasets._recording import Recording
-from sfgs_jax.geometry import Frame
-
-_LONGEST_WAIT_S = 3600.0
+from sfgs_jax.geometry import LONGEST_BREAK_S, Frame
 
 
 @checked
@@ -35,7 +33,7 @@ def play(recording: Recording, *, first: int = 0) -> Iterator[tuple[int, Frame |
     mailbox = _Mailbox()
     steps = np.diff(recording.timestamps, prepend=recording.timestamps[:1])
     steps[: first + 1] = 0.0
-    times = np.cumsum(np.where(steps > _LONGEST_WAIT_S, 0.0, steps))
+    times = np.cumsum(np.where(steps > LONGEST_BREAK_S, 0.0, steps))
 
     def decode() -> None:
         start = time.monotonic()

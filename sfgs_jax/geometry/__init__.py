@@ -11,6 +11,7 @@ from sfgs_jax.geometry._depth_cleaning import has_depth as has_depth
 from sfgs_jax.geometry._depth_registration import register_depth as register_depth
 from sfgs_jax.geometry._downscale import downscale_depth as downscale_depth
 from sfgs_jax.geometry._downscale import downscale_rgb as downscale_rgb
+from sfgs_jax.geometry._frame import LONGEST_BREAK_S as LONGEST_BREAK_S
 from sfgs_jax.geometry._frame import Frame as Frame
 from sfgs_jax.geometry._held_out import HELD_OUT_EVERY as HELD_OUT_EVERY
 from sfgs_jax.geometry._held_out import is_held_out as is_held_out

@@ -11,6 +11,9 @@ from jaxtyping import Array, Bool, Float, Shaped
 from sfgs_jax.arrays import InputError, described, is_array, is_known
 from sfgs_jax.geometry._image_checks import require_colour, require_depth
 
+LONGEST_BREAK_S = 3600.0
+"""No camera is followed over a longer one: where two stamps are farther apart, one is wrong."""
+
 
 class Frame(eqx.Module):
     """Colour image with a depth image registered to it.

@@ -3,10 +3,7 @@
 from typing import Any
 
 from sfgs_jax.arrays import FrameError, InputError, described
-from sfgs_jax.geometry import Camera, Frame
-
-_LONGEST_BREAK_S = 3600.0
-"""No camera is followed over a longer one. A single wrong stamp would refuse all frames after it."""
+from sfgs_jax.geometry import LONGEST_BREAK_S, Camera, Frame
 
 
 def check_frame(frame: Any, camera: Camera, last_timestamp: float) -> None:
@@ -34,7 +31,7 @@ def check_frame(frame: Any, camera: Camera, last_timestamp: float) -> None:
             f"The frame's time stamp {time:.6f} s is before that of the last frame, {last_timestamp:.6f} s: "
             "pass frames in the order of their time stamps."
         )
-    if time - last_timestamp > _LONGEST_BREAK_S:
+    if time - last_timestamp > LONGEST_BREAK_S:
         raise FrameError(
             f"The frame's time stamp {time:.6f} s is more than an hour after that of the last frame, "
             f"{last_timestamp:.6f} s: time stamps are in seconds, and new_session() goes on after a break."

@@ -75,19 +75,11 @@ def becomes_view(state: SlamState, log: FrameLog, frame: Frame, *, new_keyframe:
         new_keyframe=new_keyframe,
         shift=shift,
     )
-    return due and has_room_for_view(state.mapping.views, int(log.keyframes[-1]), state.config.mapping)
+    return due and _has_room(state.mapping.views, int(log.keyframes[-1]), state.config.mapping)
 
 
-def has_room_for_view(views: tuple[View, ...], keyframe: int, config: MappingConfig) -> bool:
-    """Whether a keyframe may have one more view; what its views show no longer needs one.
-
-    So views take room for the area that was seen, not for the time that it took.
-
-    Args:
-        views: so far.
-        keyframe: number of the keyframe.
-        config: settings.
-    """
+def _has_room(views: tuple[View, ...], keyframe: int, config: MappingConfig) -> bool:
+    """True if a keyframe may have one more view. So views grow with the area seen, not with the time."""
     return sum(view.keyframe == keyframe for view in views) < config.views_per_keyframe
 
 

@@ -196,8 +196,9 @@ def remove_other_images(state: SlamState, folder: Path) -> None:
     Raises:
         OSError: a file can't be removed.
     """
+    known = _named_files(state, folder)
     for kind in ("keyframe", "view", "submap"):
-        for path in set(folder.glob(f"{kind}-*.safetensors")) - _named_files(state, folder):
+        for path in set(folder.glob(f"{kind}-*.safetensors")) - known:
             path.unlink()
 
 
