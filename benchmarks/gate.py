@@ -5,7 +5,7 @@
 A ratio is the time of one hot path over that of a yardstick, a program that has nothing to do with this
 library. The two take turns, and the median of the pairs counts: what else the machine does strikes both.
 Absolute times are not compared. benchmarks/baseline.json holds the value, the direction and the tolerance of
-each ratio; `--update` writes the measured values there, and is meant for a quiet machine.
+each ratio. On a quiet machine `--update` writes the measured values there.
 
 A ratio that is worse than its tolerance allows is measured once more. If it still is, the exit status is 1.
 Ratios that need a recording or a package that is not there are skipped, each with a line that says so.
@@ -47,7 +47,7 @@ Direction = Literal["lower", "higher"]
 
 
 class Skipped(Exception):
-    """What a ratio needs is not there."""
+    """A recording or a package that a ratio needs is not there."""
 
 
 @dataclass(frozen=True)
