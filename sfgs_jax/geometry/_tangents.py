@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import checked, multiply
+from sfgs_jax.arrays import checked, dot
 
 
 @checked
@@ -23,24 +23,27 @@ def inverse_right_jacobian(tangent: Float[Array, "6 N"]) -> Float[Array, "6 6 N"
 
     Source: Selig, Geometric Fundamentals of Robotics, 2nd ed., section 7.6.
     """
-    V, W = skew(tangent[:3]), skew(tangent[3:])
-    t = jnp.sum(tangent[3:] ** 2, axis=0)
+    v, w = tangent[:3], tangent[3:]
+    t, across = dot(w, w), dot(v, w)
     small = t < 1
     series = jnp.where(small, t, 0)
     c_series = 1 / 12 - series**2 / 30240 - series**3 / 604800 - series**4 / 15966720
     e_series = -1 / 720 - series / 15120 - series**2 / 403200 - series**3 / 11975040
     square = jnp.where(small, 1, t)
     angle = jnp.sqrt(square)
-    sine, below = jnp.sin(angle), 4 * jnp.minimum(jnp.cos(angle) - 1, -1e-12)
-    c_closed = 2 / square + (angle + 3 * sine) / (angle * below)
-    e_closed = 1 / square**2 + (angle + sine) / (angle * square * below)
+    sine, below = angle * jnp.sin(angle), 4 * jnp.minimum(jnp.cos(angle) - 1, -1e-12)
+    over = 1 / (square * below)
+    c_closed, e_closed = (2 * below + square + 3 * sine) * over, (below + square + sine) * over / square
     c, e = jnp.where(small, c_series, c_closed), jnp.where(small, e_series, e_closed)
 
-    A = multiply(W, W)
-    B = multiply(W, V) + multiply(V, W)
+    # The blocks of a² and a⁴ are sums of outer products of v and w, and of identities.
     one = jnp.eye(3, dtype=tangent.dtype)[:, :, None]
-    rotation = one + W / 2 + (c - e * t)[None, None] * A
-    coupling = V / 2 + c[None, None] * B + e[None, None] * (multiply(A, B) + multiply(B, A))
+    mixed = v[:, None] * w[None] + w[:, None] * v[None]
+    squared = w[:, None] * w[None]
+    c, e, t, across = (x[None, None] for x in (c, e, t, across))
+    f = c - e * t
+    rotation = (1 - f * t) * one + skew(w) / 2 + f * squared
+    coupling = across * (4 * e * t - 2 * c) * one + skew(v) / 2 + f * mixed - 2 * e * across * squared
     return jnp.concatenate(
         [
             jnp.concatenate([rotation, coupling], axis=1),

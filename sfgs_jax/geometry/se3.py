@@ -95,6 +95,9 @@ _ROTATION, _CROSS = _rotation_tensor(), _cross_tensor()
 _SMALL = 0.01
 """Squared angle below which power series take the place of quotients that would be 0 by 0."""
 
+_TINY = 1e-4
+"""The same for the logarithm's angle, whose quotient loses no digits; the series need fewer terms."""
+
 _RIGID = 1e-3
 """Largest error of a rotation matrix's orthonormality; matrices in text files have few digits."""
 
@@ -204,20 +207,40 @@ def exp(tangent: Float[Array, "*b 6"]) -> jaxlie.SE3:
     angle, s = jnp.sqrt(safe), jnp.where(small, square, 0)
     cosine = jnp.where(small, 1 - s / 8 * (1 - s / 48 * (1 - s / 120)), jnp.cos(angle / 2))
     sine = jnp.where(small, (1 - s / 24 * (1 - s / 80 * (1 - s / 168))) / 2, jnp.sin(angle / 2) / angle)
-    first = jnp.where(small, (1 - s / 12 * (1 - s / 30 * (1 - s / 56))) / 2, (1 - jnp.cos(angle)) / safe)
-    second = jnp.where(
-        small, (1 - s / 20 * (1 - s / 42 * (1 - s / 72))) / 6, (angle - jnp.sin(angle)) / (safe * angle)
-    )
+    # The angle less its sine, over its third power.
+    bend = jnp.where(small, (1 - s / 20 * (1 - s / 42 * (1 - s / 72))) / 6, (1 - 2 * sine * cosine) / safe)
     cross = _cross_matrix(turned)
     across = _applied(cross, moved)
-    position = moved + first * across + second * _applied(cross, across)
+    position = moved + 2 * sine**2 * across + bend * _applied(cross, across)
     return jaxlie.SE3(jnp.concatenate([cosine, sine * turned, position], axis=-1))
 
 
 @_promoting
 def log(T: Pose) -> Float[Array, "*b 6"]:
     """Tangent vector (translation first) of a motion."""
-    return as_se3(T, axes=None).log()
+    entries = as_se3(T, axes=None).wxyz_xyz
+    w, axis, position = entries[..., :1], entries[..., 1:4], entries[..., 4:]
+    # Of the two quaternions of a rotation, the one of the smaller angle.
+    sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)
+    w, square = sign * w, jnp.sum(axis**2, axis=-1, keepdims=True)
+    tiny = square < _TINY
+    sine, cosine = jnp.sqrt(jnp.where(tiny, 1, square)), jnp.where(tiny, w, 1)
+    r = jnp.where(tiny, square, 0) / cosine**2
+    series = (1 - r / 3 * (1 - r * (3 / 5) * (1 - r * (5 / 7)))) / cosine
+    half = jnp.where(tiny, series, jnp.arctan2(sine, w) / sine)
+    # Half the angle, squared, and one less it times its cotangent, over the angle squared.
+    h = half**2 * square
+    small = h < _SMALL
+    s, large = jnp.where(small, h, 0), jnp.where(small, 1, h)
+    bend = jnp.where(
+        small,
+        (1 + s / 15 * (1 + s * (2 / 21) * (1 + s / 10 * (1 + s * (10 / 99))))) / 12,
+        (1 - half * w) / (4 * large),
+    )
+    cross, angle = _cross_matrix(axis), 2 * sign * half
+    across = _applied(cross, position)
+    moved = position - angle / 2 * across + bend * angle**2 * _applied(cross, across)
+    return jnp.concatenate([moved, angle * axis], axis=-1)
 
 
 @_promoting
@@ -247,7 +270,11 @@ def matrix(T: Pose) -> Float[Array, "*b 4 4"]:
 @_promoting
 def adjoint(T: Pose) -> Float[Array, "*b 6 6"]:
     """Ad(T): `T @ exp(x) = exp(Ad(T) x) @ T`."""
-    return as_se3(T, axes=None).adjoint()
+    T = as_se3(T, axes=None)
+    R = _rotation(T)
+    coupling = jnp.matmul(_cross_matrix(T.wxyz_xyz[..., 4:]), R)
+    upper = jnp.concatenate([R, coupling], axis=-1)
+    return jnp.concatenate([upper, jnp.concatenate([jnp.zeros_like(R), R], axis=-1)], axis=-2)
 
 
 @_promoting

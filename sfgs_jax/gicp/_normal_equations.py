@@ -209,9 +209,9 @@ def prior_equations(
 ) -> tuple[Float[Array, "6 6"], Float[Array, "6"], Float[Array, ""]]:
     """Hessian, gradient and value of half x^T Lambda x, x = log(mean^-1 T exp(delta)), at delta = 0."""
     x = se3.log(se3.compose(se3.inverse(prior.T_target_source), T))
-    jacobian = inverse_right_jacobian(x[:, None])[:, :, 0]
-    weighted = jacobian.T @ prior.information
-    return weighted @ jacobian, weighted @ x, x @ prior.information @ x / 2
+    rows = jnp.concatenate([inverse_right_jacobian(x[:, None])[:, :, 0], x[:, None]], axis=1)
+    products = rows.T @ prior.information @ rows
+    return products[:6, :6], products[:6, 6], products[6, 6] / 2
 
 
 def tangent_scale(sums: Float[Array, "10"]) -> Float[Array, "6"]:

@@ -47,6 +47,11 @@ class FeaturesConfig:
     """Standard deviation of a keypoint's inverse depth, 1/m."""
     kernel_width: float = 3.0
     """Width of a match's Geman-McClure kernel, standard deviations."""
+    max_iterations: int = 30
+    """Most steps to the motion with the least reprojection error; where the camera moves slowly six are
+    enough."""
+    tolerance: float = 1e-5
+    """Length of a step, metres and radians, below which that motion is found."""
     inlier_pixels: float = 3.0
     """Largest reprojection error of an inlier, pixels."""
     inlier_depth_sigmas: float = 6.0
@@ -67,11 +72,14 @@ class FeaturesConfig:
         """Refuse values that have no meaning."""
         check_choice(self, "kind", get_args(KeypointKind))
         check_choice(self, "match_weights", get_args(MatchWeights))
-        check_counts(self, 1, "max_keypoints", "max_rigid_matches", "min_inliers", "min_inliers_alone")
+        check_counts(self, 1, "max_keypoints", "max_rigid_matches", "max_iterations")
+        check_counts(self, 1, "min_inliers", "min_inliers_alone")
         check_range(self, -1, 1, "min_similarity")
         check_range(self, 0, 2, "guidance")
         check_range(self, 0, 1, "min_contrast", "min_inlier_share", "min_inlier_share_alone")
-        check_positive(self, "depth_tolerance", "max_distance", "pixel_sigma", "inverse_depth_sigma")
+        check_positive(
+            self, "depth_tolerance", "max_distance", "pixel_sigma", "inverse_depth_sigma", "tolerance"
+        )
         check_positive(
             self, "guidance_reach", "kernel_width", "inlier_pixels", "inlier_depth_sigmas", "correlation"
         )

@@ -1,39 +1,28 @@
 """Motion between two frames by their matched keypoints."""
 
-from typing import NamedTuple
-
-import jax
+import equinox as eqx
 import jax.numpy as jnp
 import jaxlie
 from jax import lax
-from jax.lax import Precision
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
-from sfgs_jax.geometry import Camera, kernel_weight, reprojection_residuals, se3
-from sfgs_jax.sensors import carried, row_places
+from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam.config import FeaturesConfig
+from sfgs_jax.slam.frontend._least_reprojection import (
+    MatchedRows,
+    information,
+    least_reprojection,
+    newton_corrected,
+    row_residuals,
+)
 from sfgs_jax.slam.state._frame_features import Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
 from sfgs_jax.slam.state._tracker import TrackerParams
 from sfgs_jax.superfeats import Expected, Matches, match
 
-_STEPS = 8
-
-
 _CELLS = 8
 """Parts of the image's width, and of its height, that matches are counted by."""
-
-
-class _Rows(NamedTuple):
-    """Matched keypoints: the target's points, what the source saw of them, and weights, None if equal."""
-
-    points: Float[Array, "k 3"]
-    pixels: Float[Array, "k 2"]
-    depth: Float[Array, " k"]
-    valid: Bool[Array, " k"]
-    sweep: gicp.Sweep | None
-    weights: Float[Array, " k"] | None = None
 
 
 def motion_from_keypoints(
@@ -53,8 +42,8 @@ def motion_from_keypoints(
     Geman-McClure kernel minimises the reprojection error of the target's points. That is an error of pixels
     and, where the source has depth, of inverse depth.
 
-    The motion is differentiable by all iterations; with learned weights also with respect to descriptors and
-    scores. Which keypoints match, and where the iterations start, has no derivative.
+    The motion is differentiable by the implicit function theorem; with learned weights also with respect to
+    descriptors and scores. Which keypoints match, and where the iterations start, has no derivative.
 
     Args:
         source: keypoints of the frame to locate, whose depth may be missing.
@@ -64,11 +53,58 @@ def motion_from_keypoints(
         sweep: motion of the source while it was read; None where it stood still.
         guess_known: whether the guess says where keypoints should lie.
     """
-    config, slots = params.config.features, source.depth.shape[0]
-    if slots == 0:
+    if source.depth.shape[0] == 0:
         # Features are switched off.
         nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
         return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
+    matches, rows = _matched_rows(source, target, guess, params, sweep, guess_known)
+    start = _guess_or_rigid_motion(guess, source, rows, matches.similarity, params)
+    T = least_reprojection(start, rows, params)
+    inliers = _explained(T, rows, params, params.config.features.inlier_pixels)
+    return FeatureRegistration(
+        T,
+        information(T, rows, params),
+        matches.index_b,
+        inliers,
+        num_matches=jnp.sum(rows.valid, dtype=jnp.int32),
+        num_inliers=jnp.sum(inliers, dtype=jnp.int32),
+    )
+
+
+def with_derivatives(
+    source: Keypoints,
+    target: Keypoints,
+    guess: jaxlie.SE3,
+    params: TrackerParams,
+    sweep: gicp.Sweep | None,
+    found: FeatureRegistration,
+) -> FeatureRegistration:
+    """A result of `motion_from_keypoints` with its derivatives, without the steps that led there.
+
+    Args:
+        source: as of `motion_from_keypoints`, like the other arguments.
+        target: the same.
+        guess: the same.
+        params: the same.
+        sweep: the same.
+        found: the result, without derivatives.
+    """
+    if source.depth.shape[0] == 0:
+        return found
+    _, rows = _matched_rows(source, target, guess, params, sweep, True)
+    T = newton_corrected(found.T_target_source, rows, params)
+    return eqx.tree_at(lambda f: (f.T_target_source, f.information), found, (T, information(T, rows, params)))
+
+
+def _matched_rows(
+    source: Keypoints,
+    target: Keypoints,
+    guess: jaxlie.SE3,
+    params: TrackerParams,
+    sweep: gicp.Sweep | None,
+    guess_known: Bool[Array, ""] | bool,
+) -> tuple[Matches, MatchedRows]:
+    config = params.config.features
     matches = match(
         source.features,
         target.features,
@@ -77,22 +113,8 @@ def motion_from_keypoints(
     )
     valid = matches.valid & target.measured[matches.index_b]
     weights = _weights(source, target, matches, valid, config)
-    rows = _Rows(
-        target.points[matches.index_b], source.features.keypoints, source.depth, valid, sweep, weights
-    )
-
-    num_matches = jnp.sum(valid, dtype=jnp.int32)
-    start = _guess_or_rigid_motion(guess, source, rows, matches.similarity, params)
-    T, hessian = _refine(start, rows, params)
-    inliers = _explained(T, rows, params, config.inlier_pixels)
-    return FeatureRegistration(
-        T,
-        hessian / config.correlation,
-        matches.index_b,
-        inliers,
-        num_matches,
-        jnp.sum(inliers, dtype=jnp.int32),
-    )
+    points, pixels = target.points[matches.index_b], source.features.keypoints
+    return matches, MatchedRows(points, pixels, source.depth, valid, sweep, weights)
 
 
 def num_explained(
@@ -105,7 +127,7 @@ def num_explained(
 ) -> Int[Array, ""]:
     """Inliers that another motion explains too, counted."""
     points, seen = target.points[matched.index], source.features.keypoints
-    rows = _Rows(points, seen, source.depth, matched.inliers, sweep)
+    rows = MatchedRows(points, seen, source.depth, matched.inliers, sweep)
     pixels = params.config.features.inlier_pixels
     return jnp.sum(_explained(T_target_source, rows, params, pixels), dtype=jnp.int32)
 
@@ -113,7 +135,7 @@ def num_explained(
 def _guess_or_rigid_motion(
     guess: jaxlie.SE3,
     source: Keypoints,
-    rows: _Rows,
+    rows: MatchedRows,
     similarity: Float[Array, " k"],
     params: TrackerParams,
 ) -> jaxlie.SE3:
@@ -162,7 +184,7 @@ def _weights(
 
 
 def _rigid_motion(
-    source: Keypoints, rows: _Rows, similarity: Float[Array, " k"], config: FeaturesConfig
+    source: Keypoints, rows: MatchedRows, similarity: Float[Array, " k"], config: FeaturesConfig
 ) -> jaxlie.SE3:
     """The motion that lays most of the best matches' points on each other."""
     best = jnp.where(rows.valid & (source.depth > 0), similarity, -1)
@@ -177,36 +199,14 @@ def _rigid_motion(
     ).T_target_source
 
 
-def _residuals(
-    T: jaxlie.SE3, rows: _Rows, params: TrackerParams
-) -> tuple[Float[Array, "3 k"], Float[Array, "3 6 k"], Bool[Array, " k"]]:
-    """Whitened residuals of T_target_source, their Jacobians in its tangent, and which rows have an image."""
-    # Rows that are not valid may hold anything: they go to where nothing has an image.
-    points = jnp.where(rows.valid, se3.transform(se3.inverse(T), rows.points).T, 0)
-    if rows.sweep is not None:
-        moving = rows.sweep.at(T)
-        times = moving.timing.colour_times(row_places(rows.pixels[:, 1], params.camera.height))
-        # The Jacobian leaves out that the twist turns with T: it says where to step, not where to end.
-        points = carried(points, moving.twist, -times)
-    found = reprojection_residuals(
-        params.camera,
-        points,
-        rows.pixels.T,
-        rows.depth,
-        sigma=params.noise.pixels,
-        inverse_depth_sigma=params.noise.inverse_depth,
-    )
-    return found.residual, found.pose_jacobian, found.has_image
-
-
-def _explained(T: jaxlie.SE3, rows: _Rows, params: TrackerParams, pixels: float) -> Bool[Array, " k"]:
-    residual, _, front = _residuals(T, rows, params)
+def _explained(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams, pixels: float) -> Bool[Array, " k"]:
+    residual, _, front = row_residuals(T, rows, params)
     error = jnp.sum(residual[:2] ** 2, axis=0)
     near = jnp.abs(residual[2]) < params.config.features.inlier_depth_sigmas
     return front & near & (error < (pixels / params.noise.pixels) ** 2)
 
 
-def _shares(rows: _Rows, camera: Camera) -> Float[Array, " k"]:
+def _shares(rows: MatchedRows, camera: Camera) -> Float[Array, " k"]:
     """Part of each match in its cell of the image; all matches of a cell make 1 together.
 
     A thing that moves by itself may be small and still hold most of the keypoints.
@@ -222,37 +222,8 @@ def _shares(rows: _Rows, camera: Camera) -> Float[Array, " k"]:
 
 
 def _support(
-    T: jaxlie.SE3, rows: _Rows, shares: Float[Array, " k"], params: TrackerParams
+    T: jaxlie.SE3, rows: MatchedRows, shares: Float[Array, " k"], params: TrackerParams
 ) -> Float[Array, ""]:
     """Cells of the image that an unrefined motion explains."""
     pixels = 2 * params.config.features.inlier_pixels
     return jnp.sum(jnp.where(_explained(T, rows, params, pixels), shares, 0))
-
-
-def _refine(T: jaxlie.SE3, rows: _Rows, params: TrackerParams) -> tuple[jaxlie.SE3, Float[Array, "6 6"]]:
-    """Iteratively reweighted Gauss-Newton; the Hessian at the end, divided by the residuals' excess."""
-
-    def equations(T: jaxlie.SE3) -> tuple[Array, Array, Array, Array]:
-        residual, jacobian, front = _residuals(T, rows, params)
-        square, width = jnp.sum(residual**2, axis=0), params.config.features.kernel_width
-        weight = jnp.where(front, kernel_weight(square, "geman_mcclure", width), 0)
-        weight = weight if rows.weights is None else weight * rows.weights
-        rows_of = jnp.moveaxis(jacobian, 1, 0).reshape(6, -1)
-        weighted = jnp.moveaxis(weight[None, None] * jacobian, 1, 0).reshape(6, -1)
-        hessian = jnp.matmul(weighted, rows_of.T, precision=Precision.HIGHEST)
-        gradient = jnp.matmul(weighted, residual.reshape(-1), precision=Precision.HIGHEST)
-        return hessian, gradient, jnp.sum(weight * square), jnp.sum(weight)
-
-    def step(_: Int[Array, ""], T: jaxlie.SE3) -> jaxlie.SE3:
-        hessian, gradient, _, _ = equations(T)
-        # Damped by its own diagonal, so that what no match fixes stays where it is.
-        diagonal = jnp.diagonal(hessian)
-        damped = hessian + jnp.diag(1e-4 * diagonal + 1e-3)
-        delta = -jax.scipy.linalg.solve(damped, gradient, assume_a="pos")
-        return se3.compose(T, se3.exp(jnp.clip(delta, -0.5, 0.5)))
-
-    T = lax.fori_loop(0, _STEPS, step, T)
-    hessian, _, square, weight = equations(T)
-    # Three rows a match.
-    excess = jnp.maximum(square / jnp.maximum(3 * weight, 1), 1)
-    return T, hessian / excess

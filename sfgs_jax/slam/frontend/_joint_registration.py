@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -16,11 +17,23 @@ from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._depth_scale import depth_scale_change, is_other_scale, is_same_scale
-from sfgs_jax.slam.frontend._feature_registration import motion_from_keypoints, num_explained
-from sfgs_jax.slam.frontend._pose_source import Evidence, judge, rests_on_surface
+from sfgs_jax.slam.frontend._feature_registration import (
+    motion_from_keypoints,
+    num_explained,
+    with_derivatives,
+)
+from sfgs_jax.slam.frontend._pose_source import (
+    Evidence,
+    judge,
+    keypoints_are_many,
+    keypoints_help,
+    keypoints_take_part,
+    rests_on_surface,
+    surface_fits,
+)
 from sfgs_jax.slam.frontend._rectification import with_depth_in_time
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._registration import FeatureRegistration, Registration
+from sfgs_jax.slam.state._registration import FeatureRegistration, PoseSource, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _DENYING = 5
@@ -76,30 +89,7 @@ def register(
             keyframe by its looks it does not.
     """
     # A default that is left out would make another program.
-    return _register(params, source, target, guess, allowed, sweep, guess_known, None)
-
-
-def found_again(
-    params: TrackerParams,
-    source: FrameFeatures,
-    target: FrameFeatures,
-    guess: jaxlie.SE3,
-    allowed: Allowed,
-    sweep: gicp.Sweep | None,
-    T_target_source: jaxlie.SE3,
-) -> Registration:
-    """A registration whose motion is known, for its derivative: GICP takes no steps.
-
-    Args:
-        params: parameters of tracking.
-        source: the frame that was located.
-        target: the frame that it was located in.
-        guess: as of `register`.
-        allowed: as of `register`.
-        sweep: as of `register`.
-        T_target_source: the motion that `register` found.
-    """
-    return _register(params, source, target, guess, allowed, sweep, True, lax.stop_gradient(T_target_source))
+    return _register(params, source, target, guess, allowed, sweep, guess_known)
 
 
 @partial(jax.jit, inline=True)
@@ -111,15 +101,12 @@ def _register(
     allowed: Allowed | None,
     sweep: gicp.Sweep | None,
     guess_known: Bool[Array, ""] | bool,
-    minimum: jaxlie.SE3 | None,
 ) -> Registration:
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
     source = source if sweep is None else _in_time(source, params, sweep.at(guess))
     pair = source.keypoints, target.keypoints
     matched = motion_from_keypoints(*pair, guess, params, sweep, guess_known=guess_known)
-    share = matched.num_inliers / jnp.maximum(matched.num_matches, 1)
-    helpful = (matched.num_inliers >= features.min_inliers) & (share >= features.min_inlier_share)
-    many = matched.num_inliers >= features.min_inliers_alone
+    helpful, many = keypoints_help(matched, features), keypoints_are_many(matched, features)
     many_matches = matched.num_matches >= features.min_inliers_alone
     # So many matches show what the camera sees, and that no motion found explains it.
     denied = matched.num_matches >= _DENYING * features.min_inliers_alone
@@ -129,19 +116,16 @@ def _register(
         same_scale = _believed(*scale, allowed, config)
         return _without_surface(matched, start, helpful, many, scale, same_scale)
 
-    surface = _align(params, source, target, matched, start, helpful, many, sweep, minimum)
+    surface = _align(params, source, target, matched, start, sweep)
     # Holes in the target's depth speak neither for a motion nor against it.
     fraction = surface.inlier_fraction / jnp.maximum(1 - surface.unmeasured, 1e-3)
-    fits = fraction >= config.min_inlier_fraction
     num_free = jnp.sum(surface.free)
-    keypoints = helpful & (allowed.near_guess | many)
-    # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
-    keypoints &= (num_free == 0) | (share >= features.min_inlier_share_alone) | ~fits
+    keypoints = keypoints_take_part(matched, fraction, num_free, allowed.near_guess, config)
     T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
     evidence = Evidence(
         keypoints=keypoints,
         many_keypoints=many,
-        surface=fits & jnp.all(jnp.isfinite(T.wxyz_xyz)),
+        surface=surface_fits(fraction, config) & jnp.all(jnp.isfinite(T.wxyz_xyz)),
         agree=_agree(params, source, target, matched, T, sweep),
         surface_alone=_stands_alone(surface, _apart(guess, T), config),
         free=num_free > 0,
@@ -163,6 +147,42 @@ def _register(
         scale_change=scale[0],
         scale_sigma=scale[1],
     )
+
+
+def found_again(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    guess: jaxlie.SE3,
+    allowed: Allowed,
+    sweep: gicp.Sweep | None,
+    found: Registration,
+) -> Registration:
+    """A registration with the derivatives of its motions and of the keypoints' information.
+
+    Both motions are minima with what was decided held fixed, so their derivatives take no steps.
+
+    Args:
+        params: parameters of tracking.
+        source: the frame that was located.
+        target: the frame that it was located in.
+        guess: as of `register`.
+        allowed: as of `register`.
+        sweep: as of `register`.
+        found: the result of `register`, which pose was believed.
+    """
+    config, found = params.config, lax.stop_gradient(found)
+    source = source if sweep is None else _in_time(source, params, sweep.at(guess))
+    pair = source.keypoints, target.keypoints
+    matched = with_derivatives(*pair, guess, params, sweep, found.matched)
+    T = start = _choose(keypoints_help(found.matched, config.features), matched.T_target_source, guess)
+    if config.use_surface:
+        surface = _align(params, source, target, matched, start, sweep, found.T_target_source)
+        fraction, num_free = found.inlier_fraction, found.num_free
+        keypoints = keypoints_take_part(found.matched, fraction, num_free, allowed.near_guess, config)
+        T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
+        T = _choose(found.source == PoseSource.KEYPOINTS, start, T)
+    return eqx.tree_at(lambda f: (f.T_target_source, f.matched), found, (T, matched))
 
 
 def _in_time(source: FrameFeatures, params: TrackerParams, moving: gicp.RowMotion) -> FrameFeatures:
@@ -239,13 +259,15 @@ def _align(
     target: FrameFeatures,
     matched: FeatureRegistration,
     start: jaxlie.SE3,
-    helpful: Bool[Array, ""],
-    many: Bool[Array, ""],
     sweep: gicp.Sweep | None,
-    minimum: jaxlie.SE3 | None,
+    minimum: jaxlie.SE3 | None = None,
 ) -> gicp.RegistrationResult:
-    """GICP with the matches' quadratic form as a prior, or the motion model's where there are too few."""
+    """GICP with the matches' quadratic form as a prior, or the motion model's where there are too few.
+
+    Of a minimum that is known it gives the derivative.
+    """
     config, settings = params.config, params.config.gicp
+    helpful, many = keypoints_help(matched, config.features), keypoints_are_many(matched, config.features)
     weak = jnp.eye(6) / config.motion_model_sigma**2
     prior = gicp.MotionPrior(start, jnp.where(helpful, matched.information, weak))
     # Many keypoints bring the start within reach of the finer levels.

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.state._registration import BY_KEYPOINTS, PoseSource, Registration
+from sfgs_jax.slam.config import FeaturesConfig, GraphConfig, TrackingConfig
+from sfgs_jax.slam.state._registration import BY_KEYPOINTS, FeatureRegistration, PoseSource, Registration
 
 Flag = Bool[Array, ""] | bool
 
@@ -37,6 +37,64 @@ class Evidence(NamedTuple):
     surface_allowed: Flag = True
     motion_model_allowed: Flag = True
     same_scale: Flag = True
+
+
+def keypoints_help(matched: FeatureRegistration, config: FeaturesConfig) -> Bool[Array, ""]:
+    """True if enough matches agree on a motion for GICP to start from it.
+
+    Args:
+        matched: the motion by keypoints.
+        config: settings.
+    """
+    agree = _share(matched) >= config.min_inlier_share
+    return (matched.num_inliers >= config.min_inliers) & agree
+
+
+def keypoints_are_many(matched: FeatureRegistration, config: FeaturesConfig) -> Bool[Array, ""]:
+    """True if enough matches agree on a motion to stand without the surface, or against it.
+
+    Args:
+        matched: the motion by keypoints.
+        config: settings.
+    """
+    return matched.num_inliers >= config.min_inliers_alone
+
+
+def surface_fits(fraction: Float[Array, ""], config: TrackingConfig) -> Bool[Array, ""]:
+    """True if the surface has enough inliers.
+
+    Args:
+        fraction: share of the source's points that lie on the target's surface.
+        config: settings.
+    """
+    return fraction >= config.min_inlier_fraction
+
+
+def keypoints_take_part(
+    matched: FeatureRegistration,
+    fraction: Float[Array, ""],
+    num_free: Int[Array, ""],
+    near_guess: Flag,
+    config: TrackingConfig,
+) -> Bool[Array, ""]:
+    """True if the keypoints take part in the pose.
+
+    Args:
+        matched: the motion by keypoints.
+        fraction: share of the source's points that lie on the target's surface.
+        num_free: directions of motion that the surface leaves free.
+        near_guess: whether the camera was seen in the frame before.
+        config: settings.
+    """
+    features = config.features
+    counted = keypoints_help(matched, features) & (near_guess | keypoints_are_many(matched, features))
+    # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
+    certain = _share(matched) >= features.min_inlier_share_alone
+    return counted & ((num_free == 0) | certain | ~surface_fits(fraction, config))
+
+
+def _share(matched: FeatureRegistration) -> Float[Array, ""]:
+    return matched.num_inliers / jnp.maximum(matched.num_matches, 1)
 
 
 def judge(evidence: Evidence) -> Int[Array, ""]:

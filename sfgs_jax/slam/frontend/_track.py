@@ -215,8 +215,8 @@ def _starts(tracker: Tracker) -> Float[Array, "4 7"]:
 _Inputs = tuple[TrackerParams, Tracker, FrameFeatures]
 
 
-def _register_at(inputs: _Inputs, attempt: Int[Array, ""], found: jaxlie.SE3 | None = None) -> Registration:
-    """The registration of an attempt; where its motion was found before, only its derivative is new."""
+def _register_at(inputs: _Inputs, attempt: Int[Array, ""], found: Registration | None = None) -> Registration:
+    """The registration of an attempt; one that was found before gets its derivatives."""
     params, tracker, seen = inputs
     by_last = attempt >= _BY_LAST
     target = lax.cond(
@@ -339,8 +339,7 @@ def _first_success_jvp(primals: tuple[_Inputs], tangents: tuple) -> tuple:
     (inputs,), (rates,) = primals, tangents
     found, attempt = _first_success(inputs)
     tried = jnp.clip(attempt, 0, 2 * _BY_LAST - 1)
-    motion = found.T_target_source
-    _, rate = eqx.filter_jvp(lambda moving: _register_at(moving, tried, motion), (inputs,), (rates,))
+    _, rate = eqx.filter_jvp(lambda moving: _register_at(moving, tried, found), (inputs,), (rates,))
     return (found, attempt), (rate, None)
 
 
