@@ -277,8 +277,9 @@ def test_what_is_left_carries_the_frame(room, frames, config, dark, blind, expec
         assert np.degrees(np.arccos(min(1, (np.trace(error[:3, :3]) - 1) / 2))) < 1.5
 
 
-def test_keypoints_give_the_motion_of_known_matches(rng, look, params):
-    """Points of known depth, a third of them wrong, and their information beside the spread of trials."""
+@pytest.fixture
+def known_matches(rng, look):
+    """Keypoints of known depth that match by their descriptors, a third of them wrong, and the motion."""
     source, target = look(wall(texture(rng), SHIFT)), look(wall(texture(rng), (0, 0, 0)))
     k = target.keypoints.depth.size
     descriptors = np.eye(k, 64, dtype=np.float32) + rng.normal(size=(k, 64)).astype(np.float32) / 8
@@ -304,12 +305,51 @@ def test_keypoints_give_the_motion_of_known_matches(rng, look, params):
     z = np.where(wrong, rng.uniform(1, 3, k), seen[:, 2]).astype(np.float32)
     z[::5] = 0
     moved = keypoints(source, where, z, CAMERA.unproject(jnp.asarray(where), jnp.asarray(np.maximum(z, 1))))
-    found = jax.jit(motion_from_keypoints)(
-        moved, keypoints(target, pixels, depth, points), se3.identity(), params
-    )
-    error = se3.log(se3.compose(se3.inverse(T), found.T_target_source))
-    np.testing.assert_allclose(error, 0, atol=1e-4)
-    assert int(found.num_inliers) >= 0.6 * k
-    assert not np.any(
-        np.asarray(found.inliers)[wrong & (z > 0)] & (np.abs(where - pixels).max(1) > 60)[wrong & (z > 0)]
-    )
+    return moved, keypoints(target, pixels, depth, points), T, wrong
+
+
+def test_keypoints_give_the_motion_of_known_matches(known_matches, params):
+    source, target, T, wrong = known_matches
+    found = jax.jit(motion_from_keypoints)(source, target, se3.identity(), params)
+    np.testing.assert_allclose(off(T, found.T_target_source), 0, atol=1e-4)
+    assert int(found.num_inliers) >= 0.6 * len(wrong)
+    far = np.abs(source.features.keypoints - target.features.keypoints).max(1) > 60
+    assert not np.any(np.asarray(found.inliers)[wrong & np.asarray((source.depth > 0) & far)])
+
+
+def off(a, b):
+    return se3.log(se3.compose(se3.inverse(a), b))
+
+
+@pytest.fixture
+def noisy_matches(known_matches, rng):
+    """The same, with noise that the kernel holds to be wrong in part: steps are many."""
+    source, target, T, _ = known_matches
+    pixels = source.features.keypoints + rng.normal(scale=2, size=source.features.keypoints.shape)
+    features = replace(source.features, keypoints=pixels.astype(jnp.float32))
+    return replace(source, features=features), target, T
+
+
+def test_the_motion_of_the_keypoints_does_not_depend_on_its_start(noisy_matches, params):
+    source, target, T = noisy_matches
+    beside = se3.compose(T, se3.exp(jnp.asarray([0.01, -0.01, 0.01, 0.01, 0.01, -0.01])))
+    find = jax.jit(motion_from_keypoints)
+    ends = [find(source, target, start, params).T_target_source for start in (T, beside)]
+    np.testing.assert_allclose(off(*ends), 0, atol=2e-5)
+    assert np.abs(off(T, ends[0])).max() > 1e-3
+
+
+def test_the_motion_of_the_keypoints_has_the_slope_of_a_difference_in_reverse_mode(noisy_matches, tracking):
+    source, target, T = noisy_matches
+    params = tracker_params(CAMERA, replace(tracking, features=replace(tracking.features, tolerance=1e-7)))
+
+    def along(points):
+        found = motion_from_keypoints(source, replace(target, points=points), T, params)
+        return se3.log(found.T_target_source) @ jnp.arange(1.0, 7)
+
+    step = 1e-3 * target.points[:, ::-1]
+    value_and_slopes = jax.jit(jax.value_and_grad(along))
+    slope = jnp.sum(value_and_slopes(target.points)[1] * step)
+    ends = [value_and_slopes(target.points + sign * step)[0] for sign in (1, -1)]
+    assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / 2, rel=0.02)
+    assert abs(float(slope)) > 1e-4
