@@ -6,10 +6,10 @@ them back. Tangents are jaxlie's (translation first, then rotation) and perturb 
 the default on recent GPUs, would move a point five metres away by millimetres. Functions of NumPy arrays run
 on the host in float64.
 
-The library calls jaxlie's arithmetic here only. jaxlie mixes integers with floats and arrays of different
-rank, which strict promotion refuses, so promotion is allowed locally. The exponential and the rotation matrix
-are our own, as products with constant tensors. XLA compiles each small array of a program by itself, and
-jaxlie builds these from scalars: a quarter to a half of the arrays remain, and of the time to compile them.
+The library calls jaxlie's arithmetic here only. It mixes integers with floats and arrays of different rank.
+Strict promotion refuses that, so promotion is allowed locally. Exponential, logarithm, adjoint and rotation
+matrix are our own, as products with constant tensors. XLA compiles each small array of a program by itself,
+and jaxlie builds these of many scalars: a quarter to two thirds of the arrays remain.
 """
 
 import inspect
@@ -220,7 +220,7 @@ def log(T: Pose) -> Float[Array, "*b 6"]:
     """Tangent vector (translation first) of a motion."""
     entries = as_se3(T, axes=None).wxyz_xyz
     w, axis, position = entries[..., :1], entries[..., 1:4], entries[..., 4:]
-    # Of the two quaternions of a rotation, the one of the smaller angle.
+    # A rotation has two quaternions: this takes the one of the smaller angle.
     sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)
     w, square = sign * w, jnp.sum(axis**2, axis=-1, keepdims=True)
     tiny = square < _TINY

@@ -2,12 +2,14 @@
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 import numpy as np
 import pytest
 import scipy.linalg
 
 from sfgs_jax.arrays import InputError
 from sfgs_jax.geometry import (
+    inverse_right_jacobian,
     quaternions_from_rotations,
     rotation_vectors,
     rotations_from_quaternions,
@@ -160,6 +162,42 @@ def test_host_logs_are_exact_at_every_angle(angle):
         term = term @ generator / n
         series += term
     np.testing.assert_allclose(series, T[0], atol=1e-9)
+
+
+ANGLES = [0.0, 1e-9, 1e-4, 0.0199, 0.0201, 0.1, 0.1999, 0.2001, 1.0, 3.0, np.pi - 1e-6]
+
+
+def on_the_device(angle, dtype, sign):
+    """A motion by its tangent, with either quaternion of its rotation."""
+    axis = np.asarray([0.36, 0.48, -0.8])
+    tangent = np.asarray([1.0, -2.0, 3.0, *(angle * axis)])
+    matrix = np.concatenate([[np.cos(angle / 2), *(np.sin(angle / 2) * axis)], [0, 0, 0]])
+    matrix[4:] = se3.exps_of(tangent[None])[0, :3, 3]
+    matrix[:4] *= sign
+    return jaxlie.SE3(jnp.asarray(matrix, dtype)), tangent
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("angle", ANGLES)
+def test_logs_are_exact_at_every_angle(float64, angle, sign):
+    T, tangent = on_the_device(angle, jnp.float64, sign)
+    np.testing.assert_allclose(se3.log(T), tangent, atol=2e-13 if angle < 3.1 else 1e-8)
+    back = se3.exp(jnp.asarray(tangent))
+    np.testing.assert_allclose(se3.matrix(back), se3.matrix(T), atol=1e-12)
+    single, _ = on_the_device(angle, jnp.float32, sign)
+    np.testing.assert_allclose(se3.log(single), tangent, atol=2e-6 if angle < 3.1 else 3e-3)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("angle", ANGLES)
+def test_logs_and_exponentials_have_their_derivatives_at_every_angle(float64, angle, sign):
+    T, tangent = on_the_device(angle, jnp.float64, sign)
+    zero = jnp.zeros(6)
+    found = jax.jacfwd(lambda d: se3.log(se3.compose(T, se3.exp(d))))(zero)
+    expected = inverse_right_jacobian(jnp.asarray(tangent)[:, None])[:, :, 0]
+    np.testing.assert_allclose(found, expected, atol=1e-9 if angle < 3.1 else 1e-6)
+    back = jax.jacrev(lambda x: se3.log(se3.exp(x)))(jnp.asarray(tangent))
+    np.testing.assert_allclose(back, np.eye(6), atol=1e-9 if angle < 3.1 else 1e-3)
 
 
 def test_slerp_turns_evenly_on_the_shortest_arc(rng):

@@ -36,8 +36,8 @@ def motion_from_keypoints(
 ) -> FeatureRegistration:
     """Match two frames' keypoints and find the motion between the frames.
 
-    Of keypoints that look alike, those match that lie where the guess expects them. The motion starts from
-    the guess if that explains most of the matches. Otherwise a rigid motion that lays the matched points on
+    Keypoints that look alike match if they lie where the guess expects them. The motion starts from the guess
+    if that explains most of the matches. Otherwise a rigid motion that lays the matched points on
     each other is tried, by graduated non-convexity; it needs depth in both frames. Then Gauss-Newton with a
     Geman-McClure kernel minimises the reprojection error of the target's points. That is an error of pixels
     and, where the source has depth, of inverse depth.

@@ -264,7 +264,7 @@ def _align(
 ) -> gicp.RegistrationResult:
     """GICP with the matches' quadratic form as a prior, or the motion model's where there are too few.
 
-    Of a minimum that is known it gives the derivative.
+    If the minimum is given, the result is its derivative.
     """
     config, settings = params.config, params.config.gicp
     helpful, many = keypoints_help(matched, config.features), keypoints_are_many(matched, config.features)
