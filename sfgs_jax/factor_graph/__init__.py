@@ -27,6 +27,7 @@ from sfgs_jax.factor_graph.solver import SolverConfig as SolverConfig
 from sfgs_jax.factor_graph.solver import Statistics as Statistics
 from sfgs_jax.factor_graph.solver import Status as Status
 from sfgs_jax.factor_graph.solver import cost as cost
+from sfgs_jax.factor_graph.solver import differentiable_optimum as differentiable_optimum
 from sfgs_jax.factor_graph.solver import marginal_covariances as marginal_covariances
 from sfgs_jax.factor_graph.solver import solve as solve
 from sfgs_jax.factor_graph.solver import solve_implicit as solve_implicit

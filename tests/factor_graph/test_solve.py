@@ -360,6 +360,11 @@ def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(flo
     arguments = jnp.zeros((2, 6)), jnp.asarray([3.0, 5.0])
     solved = quickly(jax.value_and_grad(lambda *a: outcome(solve_implicit(graph(*a), start, exact)), (0, 1)))
     _, implicit = solved(*arguments)
+    forward = quickly(
+        lambda a, b, da, db: jax.jvp(
+            lambda *a: outcome(solve_implicit(graph(*a), start, exact)), (a, b), (da, db)
+        )[1]
+    )
     unroll = quickly(jax.grad(lambda *a: outcome(solve(graph(*a), start, unrolled).values), (0, 1)))
     through = unroll(*arguments)
     for index, argument in enumerate(arguments):
@@ -371,4 +376,7 @@ def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(flo
             ends.append(solved(*shifted)[0])
         expected = (ends[0] - ends[1]) / 2e-5
         np.testing.assert_allclose(jnp.vdot(implicit[index], direction), expected, rtol=1e-6)
+        still = [jnp.zeros_like(a) for a in arguments]
+        still[index] = direction
+        np.testing.assert_allclose(forward(*arguments, *still), expected, rtol=1e-6)
         np.testing.assert_allclose(jnp.vdot(through[index], direction), expected, rtol=1e-3)

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from registrations import registration
 
 from sfgs_jax import slam
-from sfgs_jax.factor_graph import RelativePose
+from sfgs_jax.factor_graph import RelativePose, RgbdReprojection
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.keyframes import (
     advance_graph,
@@ -210,3 +212,50 @@ def test_finish_leaves_nothing_waiting_and_more_frames_may_follow(run, room, fra
     np.testing.assert_allclose(state.trajectory.poses[:, :3, 3], wanted[:, :3, 3], atol=0.01)
     _, info = slam.step(state, frames[11])
     assert info.tracked
+
+
+def factor(inputs, kind):
+    return next(f for f in inputs[1].graph.factors if isinstance(f, kind))
+
+
+@pytest.mark.usefixtures("float64")
+def test_an_adjustment_has_the_slopes_of_finite_differences(run, config, rng):
+    """Poses and covariances by the camera, the keypoints and the registrations' information."""
+    inputs = run.params, slam.window_of(run.params, run.graph, config.graph)
+    inputs = jax.tree.map(
+        lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array_like(x) else x, inputs
+    )
+
+    @eqx.filter_jit
+    def outcome(inputs):
+        adjusted = slam.adjust(*inputs)
+        values, spread = adjusted.solution.values, jnp.trace(adjusted.covariances, axis1=1, axis2=2)
+        return jnp.sum(values.poses.wxyz_xyz[:, 4:] @ jnp.arange(1.0, 4)) + 1e3 * jnp.sum(spread), values
+
+    def at_its_optimum(inputs):
+        for _ in range(25):
+            inputs = eqx.tree_at(lambda i: i[1].values, inputs, outcome(inputs)[1])
+        return inputs
+
+    @eqx.filter_jit
+    def slope(inputs, rates):
+        return eqx.filter_jvp(lambda inputs: outcome(inputs)[0], (inputs,), (rates,))[1]
+
+    inputs = at_its_optimum(inputs)
+    still = jax.tree.map(lambda x: jnp.zeros_like(x) if eqx.is_inexact_array(x) else None, inputs)
+    matrices = factor(inputs, RelativePose).matrices
+    share = 1e-3 * rng.normal(size=(len(matrices), 1, 1))
+    for part, change in [
+        (lambda i: i[0].camera.fx, jnp.asarray(1e-2, jnp.float64)),
+        (lambda i: factor(i, RgbdReprojection).pixels, 1e-2),
+        (lambda i: factor(i, RgbdReprojection).depth, 1e-4),
+        (lambda i: factor(i, RelativePose).matrices, share * matrices),
+    ]:
+        value = part(inputs)
+        change = change if np.ndim(change) == value.ndim else change * rng.normal(size=value.shape)
+        # Missing depth stays missing.
+        change = jnp.where(value == 0, 0, change)
+        found = float(slope(inputs, eqx.tree_at(part, still, change)))
+        ends = [outcome(at_its_optimum(eqx.tree_at(part, inputs, value + d)))[0] for d in (change, -change)]
+        assert found == pytest.approx(float(ends[0] - ends[1]) / 2, rel=1e-4)
+        assert abs(found) > 1e-7

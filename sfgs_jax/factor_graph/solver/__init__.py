@@ -2,6 +2,7 @@
 
 from sfgs_jax.factor_graph.solver._config import SolverConfig as SolverConfig
 from sfgs_jax.factor_graph.solver._cost import cost as cost
+from sfgs_jax.factor_graph.solver._implicit import differentiable_optimum as differentiable_optimum
 from sfgs_jax.factor_graph.solver._implicit import solve_implicit as solve_implicit
 from sfgs_jax.factor_graph.solver._levenberg_marquardt import solve as solve
 from sfgs_jax.factor_graph.solver._linear_solvers import dense_matrix as dense_matrix

@@ -2,11 +2,14 @@
 
 import warnings
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from sfgs_jax.arrays import checked
@@ -20,48 +23,66 @@ from sfgs_jax.factor_graph.solver._normal_equations import NormalEquations, buil
 from sfgs_jax.factor_graph.solver._schur_complement import landmark_steps, schur_complement
 
 _Steps = tuple[Float[Array, "P 6"], Float[Array, "L 3"]]
+_Product = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+_Tree = TypeVar("_Tree")
 
 
 @checked
 def solve_implicit(graph: FactorGraph, values: Values, config: SolverConfig | None = None) -> Values:
-    """Optimum of a graph, with gradients by every floating array in the graph.
+    """Optimum of a graph, differentiable by every floating array in the graph.
 
-    The values are those of `solve`. They are differentiated as the root of the cost's gradient (Blondel et
-    al., Efficient and modular implicit differentiation, 2022), with the exact Hessian. Conjugate gradients
-    solve with it, preconditioned by the Gauss-Newton factorisation.
-
-    The derivative holds at an optimum that the factors determine, so solve to convergence. It does not depend
-    on the start, whose gradient is 0. It may be called within `jax.jit`, as `solve`. Use `solve` if you need
-    the status, or no gradient.
+    The values are those of `solve`, with the derivatives of `differentiable_optimum`. It may be called within
+    `jax.jit`, as `solve`. Use `solve` if you need the status, or no derivative.
 
     Args:
         graph: factors and structure; measurements, weights and parameters may be traced and differentiated.
-        values: poses and landmarks to start from.
+        values: poses and landmarks to start from. The optimum does not depend on them: their derivative is 0.
         config: settings, `SolverConfig()` if not given; static under `jit`.
 
     Raises:
         InputError: numbers of poses or landmarks that don't match the graph's.
     """
-    floating, rest = eqx.partition(graph, eqx.is_inexact_array)
-    return _optimum(floating, rest, values, config)
+    return differentiable_optimum(graph, solve(_constant(graph), _constant(values), config).values)
 
 
-@eqx.filter_custom_vjp
-def _optimum(floating: Any, rest: Any, values: Values, config: SolverConfig | None) -> Values:
-    return solve(eqx.combine(floating, rest), values, config).values
+@checked
+def differentiable_optimum(graph: FactorGraph, optimum: Values) -> Values:
+    """An optimum with its derivatives by every floating array in the graph, in forward and reverse mode.
+
+    They are those of the root of the cost's gradient (Blondel et al., Efficient and modular implicit
+    differentiation, 2022), with the exact Hessian. Conjugate gradients solve with it, preconditioned by the
+    Gauss-Newton factorisation.
+
+    They hold at an optimum that the factors determine, so solve to convergence. Where no derivative is asked
+    for, this costs nothing.
+
+    Args:
+        graph: factors and structure.
+        optimum: its optimum, from `solve`; a constant for the derivative.
+    """
+    return _differentiable(graph, _constant(optimum))
 
 
-@_optimum.def_fwd
-def _forward(
-    _perturbed: Any, floating: Any, rest: Any, values: Values, config: SolverConfig | None
+def _constant(tree: _Tree) -> _Tree:
+    return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_inexact_array(x) else x, tree)
+
+
+@eqx.filter_custom_jvp
+def _differentiable(graph: FactorGraph, optimum: Values) -> Values:
+    return optimum
+
+
+@_differentiable.def_jvp
+def _differentiable_jvp(
+    primals: tuple[FactorGraph, Values], tangents: tuple[Any, Any]
 ) -> tuple[Values, Values]:
-    optimum = _optimum(floating, rest, values, config)
-    return optimum, optimum
+    graph, optimum = primals
+    floating, rest = eqx.partition(graph, eqx.is_inexact_array)
 
+    def rate_of(x: Array | None, rate: Array | None) -> Array | None:
+        return jnp.zeros_like(x) if rate is None and x is not None else rate
 
-@_optimum.def_bwd
-def _backward(optimum: Values, cotangent: Values, _perturbed: Any, floating: Any, rest: Any, *_: Any) -> Any:
-    graph = eqx.combine(floating, rest)
+    rates = jax.tree.map(rate_of, floating, tangents[0], is_leaf=lambda x: x is None)
 
     def slope(steps: _Steps, floating: Any) -> _Steps:
         current = eqx.combine(floating, rest)
@@ -77,27 +98,34 @@ def _backward(optimum: Values, cotangent: Values, _perturbed: Any, floating: Any
     def linear_solve(matvec: Callable[[_Steps], _Steps], right: _Steps) -> _Steps:
         precondition = _gauss_newton_inverse(graph, build_normal_equations(graph, optimum))
         tolerance = 16 * float(jnp.finfo(optimum.landmarks.dtype).eps)
-        solution, _ = jax.scipy.sparse.linalg.cg(matvec, right, M=precondition, tol=tolerance, maxiter=50)
-        return solution
+        # As one vector: the transpose needs all of the right side to be differentiated, or nothing.
+        flat, steps_of = ravel_pytree(right)
+
+        def conjugate_gradients(product: _Product, right: Float[Array, " n"]) -> Float[Array, " n"]:
+            inverse = partial(_flattened, precondition, steps_of)
+            return jax.scipy.sparse.linalg.cg(product, right, M=inverse, tol=tolerance, maxiter=50)[0]
+
+        # The Hessian is symmetric, so that the reverse mode solves with it too.
+        product = partial(_flattened, matvec, steps_of)
+        return steps_of(lax.custom_linear_solve(product, flat, conjugate_gradients, symmetric=True))
 
     still = jnp.zeros((graph.num_poses, 6), optimum.poses.wxyz_xyz.dtype), jnp.zeros_like(optimum.landmarks)
-    given = jax.tree.map(
-        lambda value, change: jnp.zeros_like(value) if change is None else change,
-        optimum,
-        cotangent,
-        is_leaf=lambda leaf: leaf is None,
-    )
-    (pulled,) = jax.vjp(lambda steps: retract(optimum, *steps), still)[1](given)
-    (change,) = _root_vjp()(slope, still, (floating,), pulled, solve=linear_solve)
-    return change
+    steps = _root_jvp()(slope, still, (floating,), (rates,), solve=linear_solve)
+    return jax.jvp(lambda steps: retract(optimum, *steps), (still,), (steps,))
 
 
-def _root_vjp() -> Callable[..., Any]:
+def _flattened(
+    function: Callable[[_Steps], _Steps], steps_of: Callable[[Array], _Steps], vector: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    return ravel_pytree(function(steps_of(vector)))[0]
+
+
+def _root_jvp() -> Callable[..., Any]:
     """The function of jaxopt, imported here: it warns on import that its development has ended."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        from jaxopt.implicit_diff import root_vjp
-    return root_vjp
+        from jaxopt.implicit_diff import root_jvp
+    return root_jvp
 
 
 def _keep_free(graph: FactorGraph, steps: _Steps) -> _Steps:

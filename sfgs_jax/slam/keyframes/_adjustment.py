@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.arrays import checked
@@ -18,6 +19,7 @@ from sfgs_jax.factor_graph import (
     Solution,
     SolverConfig,
     Values,
+    differentiable_optimum,
     marginal_covariances,
     solve,
 )
@@ -81,6 +83,10 @@ def adjust(params: TrackerParams, window: Window) -> Adjusted:
 
     A pure function on pytrees of fixed shapes, compiled once. SFGS-SLAM (Wang and Deng, 2025), section 3.3.
 
+    Values and covariances are differentiable by the camera and by all that the window holds, by the implicit
+    function theorem. That is the derivative of the optimum: a few adjustments, each from the values of the
+    one before, come to it.
+
     Args:
         params: parameters of tracking; the camera's intrinsics are those of every reprojection.
         window: from `window_of`.
@@ -98,7 +104,8 @@ def adjust(params: TrackerParams, window: Window) -> Adjusted:
     graph = eqx.tree_at(
         lambda g: (_reprojections(g).camera, _reprojections(g).depth), window.graph, (params.camera, depth)
     )
-    solution = solve(graph, window.values, config=_SOLVER)
+    solution = solve(*lax.stop_gradient((graph, window.values)), config=_SOLVER)
+    solution = replace(solution, values=differentiable_optimum(graph, solution.values))
     # Poses that are held are held to spare time. They are known no better for it.
     numbers = np.arange(graph.num_poses)
     unknown = (jnp.asarray(window.members) >= 0) & (numbers != window.anchor)
