@@ -53,8 +53,8 @@ def differentiable_optimum(graph: FactorGraph, optimum: Values) -> Values:
     differentiation, 2022), with the exact Hessian. Conjugate gradients solve with it, preconditioned by the
     Gauss-Newton factorisation.
 
-    They hold at an optimum that the factors determine, so solve to convergence. Where no derivative is asked
-    for, this costs nothing.
+    They hold at an optimum that the factors determine, so solve to convergence. It costs nothing where no
+    derivative is asked for.
 
     Args:
         graph: factors and structure.
@@ -98,7 +98,7 @@ def _differentiable_jvp(
     def linear_solve(matvec: Callable[[_Steps], _Steps], right: _Steps) -> _Steps:
         precondition = _gauss_newton_inverse(graph, build_normal_equations(graph, optimum))
         tolerance = 16 * float(jnp.finfo(optimum.landmarks.dtype).eps)
-        # As one vector: the transpose needs all of the right side to be differentiated, or nothing.
+        # The transpose needs all of the right side to be differentiated, or nothing: so it is one vector.
         flat, steps_of = ravel_pytree(right)
 
         def conjugate_gradients(product: _Product, right: Float[Array, " n"]) -> Float[Array, " n"]:
