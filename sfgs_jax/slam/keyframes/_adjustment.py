@@ -84,8 +84,8 @@ def adjust(params: TrackerParams, window: Window) -> Adjusted:
     A pure function on pytrees of fixed shapes, compiled once. SFGS-SLAM (Wang and Deng, 2025), section 3.3.
 
     Values and covariances are differentiable by the camera and by all that the window holds, by the implicit
-    function theorem. Their derivative is that of the optimum. A few adjustments in a row, each from the values
-    of the one before, come to it.
+    function theorem. Their derivative is that of the optimum. Adjust a few times in a row, each from the
+    values of the time before, to come to it.
 
     Args:
         params: parameters of tracking; the camera's intrinsics are those of every reprojection.
