@@ -313,6 +313,9 @@ def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
     """The first registration that is believed, or the last one tried, and the number of its attempt."""
     _, tracker, _ = inputs
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_register_at, inputs, 0))
+    # Derivatives are taken at these motions where nothing is tried: no motion has the quaternion 0.
+    still = se3.identity(blank.T_target_source.wxyz_xyz.dtype)
+    blank = eqx.tree_at(lambda f: (f.T_target_source, f.matched.T_target_source), blank, (still, still))
     first = jnp.where(tracker.num_keyframes > 0, 0, 2 * _BY_LAST)
     count = jnp.where(tracker.has_last, 2 * _BY_LAST, _BY_LAST)
 
