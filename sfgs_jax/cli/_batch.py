@@ -5,14 +5,15 @@ import dataclasses
 import shlex
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import tyro
 
 from sfgs_jax.arrays import InputError, check_counts
+from sfgs_jax.cli._batch_cluster import Cluster, ClusterRun
 from sfgs_jax.cli._batch_list import Entry, read_list
-from sfgs_jax.cli._batch_process import RunProcess, available_cores, start
+from sfgs_jax.cli._batch_process import Machine, RunProcess, available_cores
 from sfgs_jax.cli._batch_record import (
     RECORD_FILE,
     Outcome,
@@ -29,6 +30,7 @@ _INTERRUPTED = 130
 """Exit status."""
 
 _Say = Callable[[str], None]
+_Run = RunProcess | ClusterRun
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +42,11 @@ class BatchArguments:
     out: Path | None = None
     """Folder for the runs, each in a folder of its own. None means `runs/LIST`, with the name of the list."""
     jobs: int | None = None
-    """Runs at a time, which share the cores. None means one for every four cores."""
+    """Runs at a time, which share the cores. None means one for every four cores, and in a cluster one for
+    every thread of its workers."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, like `tcp://host:8786`, whose workers make the runs. None means this
+    machine."""
     overwrite: bool = False
     """Start all recordings anew, also those that are finished."""
     quiet: bool = False
@@ -61,14 +67,25 @@ def batch_command(arguments: list[str]) -> int:
     options = tyro.cli(BatchArguments, prog="sfgs-jax batch", args=arguments)
     entries = read_list(options.path)
     folder = options.out or Path("runs") / options.path.stem
-    batch = _Batch(entries, folder, overwrite=options.overwrite)
-    jobs = min(options.jobs or max(1, available_cores() // _CORES_OF_A_RUN), len(entries))
-    interrupted = batch.run(jobs, _say if not options.quiet else lambda line: None)
+    with _place(options, len(entries)) as place:
+        batch = _Batch(entries, folder, overwrite=options.overwrite)
+        interrupted = batch.run(place, options.jobs, _say if not options.quiet else lambda line: None)
     print(batch_table(batch.outcomes))
     if interrupted:
         print("Interrupted; the same command goes on.", file=sys.stderr)
         return _INTERRUPTED
     return 1 if any(outcome.state != "done" for outcome in batch.outcomes) else 0
+
+
+@contextlib.contextmanager
+def _place(options: BatchArguments, recordings: int) -> Iterator[Machine | Cluster]:
+    """Where the runs are made."""
+    if options.scheduler is None:
+        jobs = options.jobs or max(1, available_cores() // _CORES_OF_A_RUN)
+        yield Machine(min(jobs, recordings))
+        return
+    with contextlib.closing(Cluster(options.scheduler)) as cluster:
+        yield cluster
 
 
 class _Batch:
@@ -93,19 +110,19 @@ class _Batch:
         """Rows of the recordings in the list that have been begun."""
         return [self._outcomes[entry.name] for entry in self._entries if entry.name in self._outcomes]
 
-    def run(self, jobs: int, say: _Say) -> bool:
-        """Run what is not finished; gives whether it was interrupted."""
+    def run(self, place: Machine | Cluster, most: int | None, say: _Say) -> bool:
+        """Run what is not finished, so many at a time; gives whether it was interrupted."""
         waiting = [entry for entry in self._entries if not self._is_done(entry)]
         if skipped := len(self._entries) - len(waiting):
             say(f"{skipped} of {len(self._entries)} finished before")
-        cores = max(1, available_cores() // jobs)
-        running: list[RunProcess] = []
+        running: list[_Run] = []
         try:
             while waiting or running:
-                while waiting and len(running) < jobs:
-                    running.append(self._start(waiting.pop(0), cores))
+                # Workers come and go.
+                while waiting and len(running) < (most or place.jobs):
+                    running.append(self._start(waiting.pop(0), place))
                 time.sleep(_POLL_S)
-                for run in [run for run in running if run.process.poll() is not None]:
+                for run in [run for run in running if run.ended()]:
                     running.remove(run)
                     self._end(run, say)
         except KeyboardInterrupt:
@@ -117,21 +134,16 @@ class _Batch:
     def _is_done(self, entry: Entry) -> bool:
         return entry.name in self._outcomes and self._outcomes[entry.name].state == "done"
 
-    def _start(self, entry: Entry, cores: int) -> RunProcess:
+    def _start(self, entry: Entry, place: Machine | Cluster) -> _Run:
         before = self._outcomes.get(entry.name)
         failed = before is not None and before.state == "failed"
-        run = start(
-            entry,
-            self._folder / entry.name,
-            self._folder / f"{entry.name}.log",
-            cores=cores,
-            overwrite=self._overwrite or failed,
-        )
+        folder, log = self._folder / entry.name, self._folder / f"{entry.name}.log"
+        run = place.start(entry, folder, log, overwrite=self._overwrite or failed)
         seconds = before.seconds if before is not None and not failed else 0.0
         self._put(Outcome(entry.name, shlex.join(entry.words), "running", seconds=seconds))
         return run
 
-    def _end(self, run: RunProcess, say: _Say, *, asked: bool = False) -> None:
+    def _end(self, run: _Run, say: _Say, *, asked: bool = False) -> None:
         state, message = run.end(asked=asked)
         seconds = self._outcomes[run.entry.name].seconds + run.seconds
         outcome = outcome_of(run.entry, run.folder, state, seconds, message)
@@ -140,12 +152,12 @@ class _Batch:
         said = f"{ended} of {len(self._entries)}: {outcome.name} {state} after {outcome.seconds:.0f} s"
         say(f"{said}: {message}" if message else said)
 
-    def _stop(self, running: list[RunProcess], say: _Say) -> None:
+    def _stop(self, running: list[_Run], say: _Say) -> None:
         """End the runs that go on; a second Ctrl-C does not keep them from saving."""
         for run in running:
             run.stop()
         for run in running:
-            while run.process.poll() is None:
+            while not run.ended():
                 with contextlib.suppress(KeyboardInterrupt):
                     time.sleep(_POLL_S)
             self._end(run, say, asked=True)

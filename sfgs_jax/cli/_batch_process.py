@@ -20,6 +20,7 @@ _OF_XLA = re.compile(r"[IWEF]\d{4} ")
 """Beginning of a line that XLA logs."""
 _INTERRUPTED = 130
 """Exit status of `sfgs-jax run`."""
+INTERRUPTED_MESSAGE = "It was interrupted, and goes on when the batch is started again."
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,13 @@ class RunProcess:
         """Since its start."""
         return time.monotonic() - self.started
 
+    def ended(self) -> bool:
+        """True after its end."""
+        return self.process.poll() is not None
+
     def stop(self) -> None:
         """Ask it to save what it has, and to end."""
-        if self.process.poll() is None:
+        if not self.ended():
             self.process.send_signal(signal.SIGTERM)
 
     def end(self, *, asked: bool) -> tuple[State, str]:
@@ -61,13 +66,30 @@ class RunProcess:
             return "done", ""
         # Before it is ready to save anything, it just ends.
         if status == _INTERRUPTED or (asked and status == -signal.SIGTERM):
-            return "interrupted", "It was interrupted, and goes on when the batch is started again."
+            return "interrupted", INTERRUPTED_MESSAGE
         if status < 0:
             return "failed", f"It was ended by the signal {_signal(-status)}; {self.log} has what it printed."
         return "failed", _last_message(self.log)
 
 
-def start(entry: Entry, folder: Path, log: Path, *, cores: int, overwrite: bool) -> RunProcess:
+@dataclass(frozen=True)
+class Machine:
+    """This machine, whose cores its runs share.
+
+    Attributes:
+        jobs: runs at a time.
+    """
+
+    jobs: int
+
+    def start(self, entry: Entry, folder: Path, log: Path, *, overwrite: bool) -> RunProcess:
+        """Start a run with its share of the cores; see the function `start`."""
+        return start(entry, folder, log, cores=max(1, available_cores() // self.jobs), overwrite=overwrite)
+
+
+def start(
+    entry: Entry, folder: Path, log: Path, *, cores: int, overwrite: bool, here: Path | None = None
+) -> RunProcess:
     """Start a run; it goes on from its last checkpoint if there is one.
 
     Args:
@@ -76,6 +98,7 @@ def start(entry: Entry, folder: Path, log: Path, *, cores: int, overwrite: bool)
         log: file for what it prints.
         cores: threads that it may compute with.
         overwrite: whether the run begins anew, whatever is in the folder.
+        here: folder that relative paths begin at; the current one if not given.
 
     Raises:
         InputError: the log can't be written.
@@ -88,6 +111,7 @@ def start(entry: Entry, folder: Path, log: Path, *, cores: int, overwrite: bool)
         with log.open("wb") as output:
             process = subprocess.Popen(
                 [*command, "--quiet"],
+                cwd=here,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
