@@ -101,7 +101,7 @@ def main() -> None:
     arguments = parser.parse_args()
     frames = Frames(arguments.width, int(np.max(arguments.lengths)))
     columns = ("frames", "kept", "compile CPU s", "memory MB", "ms", "ratio")
-    rows = [row(frames, n, keep) for n in arguments.lengths for keep in (False, True)]
+    rows = (row(frames, n, keep) for n in arguments.lengths for keep in (False, True))
     print_table(f"value / gradient of the last pose, {frames.params.camera.shape[::-1]}", columns, rows)
 
 

@@ -96,10 +96,10 @@ def main() -> None:
         estimate_extrinsic=options.extrinsic,
     )
     config = replace(SlamConfig(), tracking=tracking)
-    rows = []
-    for name in options.recordings:
-        recording = open_recording(RECORDINGS[name].format(options.frames))
-        rows.append(row(name, recording, options.frames, config))
+    rows = (
+        row(name, open_recording(RECORDINGS[name].format(options.frames)), options.frames, config)
+        for name in options.recordings
+    )
     print_table(f"{'with' if on else 'without'} the model of the sensors", COLUMNS, rows)
 
 

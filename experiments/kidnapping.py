@@ -11,7 +11,9 @@ Real recordings are found through SFGS_DATA, by default `../shared`.
 """
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -122,6 +124,16 @@ def errors_of(positions: Float[np.ndarray, "n 3"], true: Float[np.ndarray, "n 3"
     return errors
 
 
+def table(name: str, starts: int, config: slam.SlamConfig) -> Iterator[tuple[str, ...]]:
+    """A row for each start in a recording."""
+    walk = WALKS[name]
+    recording = open_recording(walk.source)
+    room = len(recording) - 2 * walk.before - walk.jump - 1
+    for start in np.linspace(0, room, starts).astype(int).tolist():
+        found = walked(recording, way_of(walk, start), config)
+        yield name, str(start), *map(str, found[:5]), f"{100 * found.rmse_m:.2f}"
+
+
 def main() -> None:
     """Print a row for each start."""
     parser = argparse.ArgumentParser(
@@ -131,18 +143,10 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=8)
     parser.add_argument("--new-map-frames", type=int, default=slam.GraphConfig().new_map_frames)
     options = parser.parse_args()
-    rows = []
-    for name in options.sources:
-        walk = WALKS[name]
-        recording = open_recording(walk.source)
-        config = slam.SlamConfig()
-        config = replace(config, graph=replace(config.graph, new_map_frames=options.new_map_frames))
-        room = len(recording) - 2 * walk.before - walk.jump - 1
-        for start in np.linspace(0, room, options.starts).astype(int).tolist():
-            found = walked(recording, way_of(walk, start), config)
-            rows.append((name, str(start), *map(str, found[:5]), f"{100 * found.rmse_m:.2f}"))
-            print(*rows[-1], flush=True)
+    config = slam.SlamConfig()
+    config = replace(config, graph=replace(config.graph, new_map_frames=options.new_map_frames))
     columns = ("recording", "start", "frames", "tracked", "maps begun", "maps left", "wrong", "RMSE, cm")
+    rows = chain.from_iterable(table(name, options.starts, config) for name in options.sources)
     print_table("A camera that is put elsewhere and walks back", columns, rows)
 
 

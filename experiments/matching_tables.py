@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 import jax
 import numpy as np
@@ -144,8 +145,8 @@ def _plane_figures(pair: WarpedPhoto, extractor: Extractor) -> tuple[float, ...]
     )
 
 
-def print_table(title: str, columns: Row, rows: Sequence[Row]) -> None:
-    """Print a table under its title."""
+def print_table(title: str, columns: Row, rows: Iterable[Row]) -> None:
+    """Print a table under its title, each row as it comes."""
     print(f"\n{title}\n")
-    for row in (columns, tuple("---" for _ in columns), *rows):
+    for row in chain((columns, tuple("---" for _ in columns)), rows):
         print("| " + " | ".join(row) + " |", flush=True)

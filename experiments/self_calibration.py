@@ -13,8 +13,9 @@ the calibration has not seen. There are three rows: as recorded, with the wrong 
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -299,7 +300,22 @@ def synthetic(seed: int, frames: int, width: int = WIDTH, rounds: Sequence[Round
     return Descent(np.stack([errors(c, truth) for c in found.path]), np.asarray(deviations, float))
 
 
-def real(name: str, seeds: int, frames: int) -> list[tuple[str, ...]]:
+def synthetic_rows(descents: list[Descent], seeds: int, frames: int) -> Iterator[tuple[str, ...]]:
+    """Rows of the synthetic room, a descent each, their mean, and what they claim; the descents are kept."""
+    for seed in range(seeds):
+        descents.append(synthetic(seed, frames))
+        first, end = descents[-1].errors[[0, -1]]
+        if seed == 0:
+            yield "start", *(f"{x:.1f}" for x in first)
+        yield f"seed {seed}", *(f"{x:.2f}" for x in end)
+    ends = np.stack([d.errors[-1] for d in descents])
+    spread = ends.std(axis=0, ddof=1) / np.sqrt(len(ends)) if len(ends) > 1 else np.full(7, np.nan)
+    yield "mean", *(f"{m:.2f} ± {e:.2f}" for m, e in zip(ends.mean(axis=0), spread, strict=True))
+    claimed = np.stack([d.deviations for d in descents])
+    yield "claimed deviation", *(f"{x:.2f}" for x in claimed.mean(axis=0))
+
+
+def real(name: str, seeds: int, frames: int) -> Iterator[tuple[str, ...]]:
     """Rows of a recording: its held-out cycles as it is calibrated, and before and after each descent."""
     recording = datasets.open_recording(SOURCES[name])
     seen, unseen = (clip_of(recording, first, frames) for first in (0, frames))
@@ -313,14 +329,11 @@ def real(name: str, seeds: int, frames: int) -> list[tuple[str, ...]]:
         numbers = [*signed, *values[2:4], *times]
         return (name, label, f"{length:.1f}", f"{angle:.3f}", *(f"{x:.2f}" for x in numbers))
 
-    rows = [row("as recorded", nothing_wrong())]
+    yield row("as recorded", nothing_wrong())
     for seed in range(seeds):
         start = wrong(np.random.default_rng(seed), nothing_wrong())
-        rows += [
-            row(f"start {seed}", start),
-            row(f"found {seed}", calibrate(seen, seen_scene, start).calibration),
-        ]
-    return rows
+        yield row(f"start {seed}", start)
+        yield row(f"found {seed}", calibrate(seen, seen_scene, start).calibration)
 
 
 def plot(descents: list[Descent], path: Path) -> None:
@@ -347,25 +360,15 @@ def main() -> None:
     parser.add_argument("--recordings", nargs="*", default=["redkitchen", "fr1_rpy"], choices=sorted(SOURCES))
     parser.add_argument("--plot", type=Path, default=Path("self_calibration.svg"))
     arguments = parser.parse_args()
-    descents = [synthetic(seed, arguments.frames) for seed in range(arguments.seeds)]
-    if descents:
-        ends = np.stack([d.errors[-1] for d in descents])
-        claimed = np.stack([d.deviations for d in descents])
-        spread = ends.std(axis=0, ddof=1) / np.sqrt(len(ends)) if len(ends) > 1 else np.full(7, np.nan)
-        rows = [("start", *(f"{x:.1f}" for x in descents[0].errors[0]))]
-        rows += [(f"seed {i}", *(f"{x:.2f}" for x in end)) for i, end in enumerate(ends)]
-        rows.append(("mean", *(f"{m:.2f} ± {e:.2f}" for m, e in zip(ends.mean(axis=0), spread, strict=True))))
-        rows.append(("claimed deviation", *(f"{x:.2f}" for x in claimed.mean(axis=0))))
-        print_table("Errors of the calibration on the Kinect-fault room", ("", *NAMES), rows)
+    if arguments.seeds:
+        title = "Errors of the calibration on the Kinect-fault room"
+        descents: list[Descent] = []
+        print_table(title, ("", *NAMES), synthetic_rows(descents, arguments.seeds, arguments.frames))
         plot(descents, arguments.plot)
-    columns = ("recording", "calibration", "cycle mm", "cycle deg", *NAMES)
-    rows = [
-        row for name in arguments.recordings for row in real(name, arguments.seeds, arguments.real_frames)
-    ]
-    if rows:
-        print_table(
-            "Cycles of held-out frames; the calibration relative to the recording's own", columns, rows
-        )
+    if arguments.recordings:
+        title = "Cycles of held-out frames; the calibration relative to the recording's own"
+        tables = (real(name, arguments.seeds, arguments.real_frames) for name in arguments.recordings)
+        print_table(title, ("recording", "calibration", "cycle mm", "cycle deg", *NAMES), chain(*tables))
 
 
 if __name__ == "__main__":

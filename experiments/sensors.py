@@ -14,7 +14,7 @@ truth. The first row of a recording is of the poses that come with it.
 
 import argparse
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 from jaxtyping import Float
@@ -185,13 +185,9 @@ def main() -> None:
         assert truth is not None
         own = dict(enumerate(truth.poses[: options.frames]))
         pairs = matched_pairs(recording, own)
-        rows: list[tuple[str, ...]] = [
-            ("its own poses", *("-",) * 6, epipolar(recording, own, pairs), *("-",) * (len(COLUMNS) - 8))
-        ]
-        for modelled in VARIANTS:
-            state = tracked(recording, options.frames, modelled)
-            rows.append(row(recording, state, pairs))
-        print_table(name, COLUMNS, rows)
+        first = "its own poses", *("-",) * 6, epipolar(recording, own, pairs), *("-",) * (len(COLUMNS) - 8)
+        rest = (row(recording, tracked(recording, options.frames, v), pairs) for v in VARIANTS)
+        print_table(name, COLUMNS, chain([first], rest))
 
 
 if __name__ == "__main__":
