@@ -3,6 +3,7 @@
 Each file holds one idiom and the reason for it.
 """
 
+from sfgs_jax.arrays._appending import appended as appended
 from sfgs_jax.arrays._arguments import described as described
 from sfgs_jax.arrays._arguments import is_array as is_array
 from sfgs_jax.arrays._arguments import is_floating as is_floating

@@ -6,7 +6,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
 
-from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
+from sfgs_jax.arrays import Text, appended, printed_fields, printed_length, pytree
 from sfgs_jax.geometry import Trajectory, se3, slerp
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 
@@ -57,12 +57,12 @@ class FrameLog:
         """
         last = self.brightness[-1:] if len(self.brightness) else np.zeros((1, 3), np.float32)
         return FrameLog(
-            np.append(self.timestamps, timestamp),
-            np.append(self.numbers, number),
-            np.append(self.keyframes, keyframe),
-            np.concatenate([self.motions, np.asarray(motion.wxyz_xyz)[None]]),
-            np.concatenate([self.covariances, np.asarray(covariance, np.float32)[None]]),
-            np.concatenate([self.brightness, last + np.float32(brighter)]),
+            appended(self.timestamps, np.asarray([timestamp])),
+            appended(self.numbers, np.asarray([number])),
+            appended(self.keyframes, np.asarray([keyframe])),
+            appended(self.motions, np.asarray(motion.wxyz_xyz)[None]),
+            appended(self.covariances, np.asarray(covariance)[None]),
+            appended(self.brightness, last + np.float32(brighter)),
         )
 
     @property
