@@ -14,6 +14,7 @@ from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import LearningRates, MappingConfig
 from sfgs_jax.slam.mapping import (
+    compile_ahead,
     image_shift,
     insert_view,
     optimise_once,
@@ -384,3 +385,26 @@ def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):
     )
     moved = [jnp.abs(after.map.gaussians.sh - mapping.map.gaussians.sh).max() for after in (first, last)]
     assert float(moved[1]) == pytest.approx(config.final_rate * float(moved[0]), rel=0.05)
+
+
+def test_the_larger_map_is_compiled_before_it_is_needed(seeded, config, compilations):
+    mapping, camera = seeded.mapping, seeded.mapping_camera
+    assert compile_ahead(mapping, camera, config.mapping) is None, "it is not three quarters full"
+    used = mapping.num_gaussians
+    full = jax.tree.map(lambda x: x[: int(used / 0.9)], mapping.map)
+    assert int(full.gaussians.valid.sum()) == used, "the used slots come first"
+    mapping = replace(mapping, map=full)
+    prepared = compile_ahead(mapping, camera, config.mapping)
+    assert prepared is not None
+    prepared.result()
+
+    assert compilations
+    compilations.clear()
+    mapping = replace(mapping, map=grow(mapping.map))
+    mapping, _ = insert_view(mapping, mapping.views[0], camera, config.mapping)
+    mapping, _ = optimise_once(mapping, camera, config.mapping, newest_share=1.0)
+    moved = mapping.keyframe_poses + np.float32(1e-3)
+    pruned = prune(mapping.map, config.mapping.prune_opacity)
+    jax.block_until_ready((pruned, move(mapping.map, mapping.keyframe_poses, moved)))
+    assert not compilations
+    assert compile_ahead(replace(mapping, map=full), camera, config.mapping) is None, "it was asked for"

@@ -1,7 +1,7 @@
 """Pose graph: the poses of all keyframes by the motions between them."""
 
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 
@@ -10,7 +10,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import doubled
+from sfgs_jax.arrays import Background, doubled
 from sfgs_jax.factor_graph import Capacities, FactorGraph, SolverConfig, Status, Values, solve
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
@@ -20,9 +20,7 @@ from sfgs_jax.slam.state._maps import first_keyframes
 
 _SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4)
 
-_background = ThreadPoolExecutor(1)
-_asked_for: set[tuple[int, GraphConfig]] = set()
-"""Capacities and settings that the solver has been compiled for in the background."""
+_background = Background()
 
 
 def optimise_poses(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
@@ -115,7 +113,7 @@ def _problem(
     return FactorGraph(factors, num_poses=capacity, free_poses=free, capacities=capacities)
 
 
-def compile_ahead(graph: KeyframeGraph, config: GraphConfig) -> Future[None] | None:
+def compile_ahead(graph: KeyframeGraph, config: GraphConfig) -> Future[object] | None:
     """Compile the solver for twice as many keyframes in the background, once it is three quarters full.
 
     Args:
@@ -126,10 +124,9 @@ def compile_ahead(graph: KeyframeGraph, config: GraphConfig) -> Future[None] | N
         Done when it is compiled; None if there is room enough, or it has been asked for before.
     """
     capacity = pose_capacity(graph, config)
-    if len(graph.keyframes) <= capacity * 3 // 4 or (2 * capacity, config) in _asked_for:
+    if len(graph.keyframes) <= capacity * 3 // 4:
         return None
-    _asked_for.add((2 * capacity, config))
-    return _background.submit(_compile, graph, config, 2 * capacity)
+    return _background.once((2 * capacity, config), _compile, graph, config, 2 * capacity)
 
 
 def _compile(graph: KeyframeGraph, config: GraphConfig, capacity: int) -> None:

@@ -7,6 +7,7 @@ from sfgs_jax.slam.mapping._map_step import MapStep as MapStep
 from sfgs_jax.slam.mapping._map_step import map_step as map_step
 from sfgs_jax.slam.mapping._map_step import mapping_loss as mapping_loss
 from sfgs_jax.slam.mapping._map_step import prune as prune
+from sfgs_jax.slam.mapping._map_update import compile_ahead as compile_ahead
 from sfgs_jax.slam.mapping._map_update import follow_keyframes as follow_keyframes
 from sfgs_jax.slam.mapping._map_update import follow_trajectory as follow_trajectory
 from sfgs_jax.slam.mapping._map_update import insert_view as insert_view

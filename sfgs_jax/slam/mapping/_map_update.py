@@ -1,5 +1,6 @@
 """Updates of the map on the host: it follows the keyframes, takes in views, and is optimised."""
 
+from concurrent.futures import Future
 from dataclasses import replace
 
 import jax
@@ -8,6 +9,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
+from sfgs_jax.arrays import Background
 from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.sensors import SensorTiming, with_gain
 from sfgs_jax.slam.config import MappingConfig
@@ -22,7 +24,7 @@ from sfgs_jax.slam.mapping._map_step import (
 from sfgs_jax.slam.mapping._paging import is_whole, with_surface_of
 from sfgs_jax.slam.mapping._seeding import seed
 from sfgs_jax.slam.state._frame_log import FrameLog
-from sfgs_jax.slam.state._gaussian_map import grow, move
+from sfgs_jax.slam.state._gaussian_map import empty_map, grow, move
 from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._slam_state import SlamState
 from sfgs_jax.slam.state._step_info import Stages, untimed
@@ -32,6 +34,8 @@ _DRAWS = 20
 """Views drawn before the newest is taken, where most of them show places that are paged out."""
 _HEADROOM = 1.5
 """Room for pairs that a view gets, as a multiple of its need: the next views need a little more."""
+
+_background = Background()
 
 
 def map_frame(
@@ -107,7 +111,8 @@ def insert_view(
 ) -> tuple[MapState, float]:
     """Keep a view, and set Gaussians where the map lacks its surface. The map grows where it is full.
 
-    A rendering of the view, which is that of the first step on it, tells where surface is missing.
+    A rendering of the view, which is that of the first step on it, tells where surface is missing. Before the
+    map is full, the programs of a larger one are compiled in the background.
 
     Args:
         mapping: the map, which knows of the view's keyframe.
@@ -118,6 +123,43 @@ def insert_view(
     Returns:
         The map state, and the loss of the map before.
     """
+    mapping, loss = _with_view(mapping, view, camera, config)
+    compile_ahead(mapping, camera, config)
+    return mapping, loss
+
+
+def compile_ahead(mapping: MapState, camera: Camera, config: MappingConfig) -> Future[object] | None:
+    """Compile the programs of a map with twice the room in the background, once it is three quarters full.
+
+    Args:
+        mapping: the map, with at least one view.
+        camera: of the views.
+        config: settings.
+
+    Returns:
+        Done when they are compiled; None if there is room enough, or they have been asked for before.
+    """
+    valid = np.asarray(mapping.map.gaussians.valid)
+    capacity = len(valid)
+    if 2 * capacity > config.max_capacity or valid.sum() <= capacity * 3 // 4:
+        return None
+    key = (2 * capacity, mapping.pair_capacity, camera.shape, config)
+    return _background.once(key, _use_larger, mapping, camera, config)
+
+
+def _use_larger(mapping: MapState, camera: Camera, config: MappingConfig) -> None:
+    """Take the newest view into an empty map with twice the room, by the programs of a run."""
+    larger = grow(empty_map(mapping.map.gaussians.valid.shape[0]))
+    view, poses = mapping.views[-1], mapping.keyframe_poses
+    mapping = replace(mapping, map=larger, views=(), submaps=())
+    mapping, _ = _with_view(mapping, view, camera, config)
+    mapping, _ = step_on_view(mapping, -1, camera, config)
+    jax.block_until_ready((prune(mapping.map, config.prune_opacity), move(mapping.map, poses, poses)))
+
+
+def _with_view(
+    mapping: MapState, view: View, camera: Camera, config: MappingConfig
+) -> tuple[MapState, float]:
     mapping = with_surface_of(mapping, view, camera, config.paging)
     mapping = replace(mapping, views=(*mapping.views, view))
     mapping, done = step_on_view(mapping, -1, camera, config, learn=config.steps_per_view > 0)
