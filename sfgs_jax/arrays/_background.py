@@ -6,13 +6,16 @@ from typing import ParamSpec
 
 _P = ParamSpec("_P")
 
+BACKGROUND_THREAD = "sfgs_jax background"
+"""Beginning of the thread's name."""
+
 
 class Background:
     """A thread that calls functions for the programs which they compile, each for the first time only."""
 
     def __init__(self) -> None:
         """Without work; the thread begins with the first."""
-        self._thread = ThreadPoolExecutor(1)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=BACKGROUND_THREAD)
         self._asked: set[Hashable] = set()
 
     def once(
