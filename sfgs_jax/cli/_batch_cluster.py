@@ -1,5 +1,6 @@
 """Runs of a batch on the workers of a Dask cluster."""
 
+import contextlib
 import logging
 import time
 import uuid
@@ -50,7 +51,9 @@ class ClusterRun:
 
     def stop(self) -> None:
         """Ask it to save what it has, and to end. All runs of the batch hear it."""
-        self.asked.set()
+        # Without a scheduler nobody hears it.
+        with contextlib.suppress(OSError, CancelledError):
+            self.asked.set()
 
     def end(self, *, asked: bool) -> Ended:
         """State after the end, and a sentence on it if the run is not done; waits for the end.
@@ -109,8 +112,15 @@ class Cluster:
 
     @property
     def jobs(self) -> int:
-        """Runs at a time: threads of all workers that are there now."""
-        threads = cast(dict[str, int], self._client.nthreads())
+        """Runs at a time: threads of all workers that are there now.
+
+        Raises:
+            InputError: the scheduler is gone.
+        """
+        try:
+            threads = cast(dict[str, int], self._client.nthreads())
+        except (OSError, CancelledError) as error:
+            raise InputError("The scheduler is gone. With another one the same command goes on.") from error
         return max(1, sum(threads.values()))
 
     def start(self, entry: Entry, folder: Path, log: Path, *, overwrite: bool) -> ClusterRun:
