@@ -69,13 +69,16 @@ def test_the_workers_make_the_runs_and_a_failure_costs_no_other(
     assert capsys.readouterr().out.splitlines()[0] == "1 of 1 finished before"
 
 
-def test_an_interrupted_batch_stops_the_runs_at_the_workers(words, scheduler, tmp_path, capsys):
+def test_an_interrupted_batch_stops_the_runs_at_the_workers(scheduler, tmp_path, capsys):
     out = tmp_path / "out"
-    (tmp_path / "list.txt").write_text(f"{shlex.join(words)}\n{shlex.join(words)}\n")
+    # Long enough that it goes on when it is told to stop.
+    line = shlex.join(["synthetic:frames=2000,width=96,height=72", *SMALL])
+    name = "synthetic-frames-2000-width-96-height-72"
+    (tmp_path / "list.txt").write_text(f"{line}\n{line}\n")
 
     def interrupt():
         end = time.monotonic() + 120
-        while not (out / "room" / "config.json").exists() and time.monotonic() < end:
+        while not (out / name / "config.json").exists() and time.monotonic() < end:
             time.sleep(0.02)
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -87,7 +90,7 @@ def test_an_interrupted_batch_stops_the_runs_at_the_workers(words, scheduler, tm
     assert "Interrupted; the same command goes on." in capsys.readouterr().err
     # The second one was not begun.
     (row,) = read_record(out / "batch.csv").values()
-    assert (row.name, row.state) == ("room", "interrupted")
+    assert (row.name, row.state) == (name, "interrupted")
 
 
 def test_a_scheduler_that_is_not_there_gets_one_sentence(words, tmp_path, capsys):
