@@ -5,10 +5,10 @@
 
 NEES is the normalised estimation error squared of a pose's tangent, e' C^-1 e, its mean over all frames. It
 is 6 if the covariances C are right. A frame is within 3 sigma if its square is as likely as 3 standard
-deviations of a number. All poses are relative to the first camera, the world frame of a run. *Then* is the
-pose as it was reported with its frame. *At the end* is after the last adjustment. With `--sensors` the times
-of the rows and the distortion of depth are estimated, with `--extrinsic` the place of its camera too. The
-truth of the real recordings has errors of its own.
+deviations of a number. All poses are relative to the first camera, the world frame of a run. The column
+*then* has the pose as it was reported with its frame, and *at the end* that after the last adjustment. With
+`--sensors` the times of the rows and the distortion of depth are estimated, with `--extrinsic` the place of
+its camera too. The truth of the real recordings has errors of its own.
 """
 
 import argparse

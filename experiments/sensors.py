@@ -57,7 +57,7 @@ AT = 2.0
 
 
 VARIANTS = ((), ("depth",), ("timing",), ("timing", "depth"), ("timing", "depth", "extrinsic"))
-"""What is modelled: times of the rows, distortion of depth, and where its camera is beside the other."""
+"""Modelled: times of the rows, distortion of depth, and where its camera is beside the other."""
 
 
 def tracked(recording: Recording, num_frames: int, modelled: tuple[str, ...]) -> SlamState:

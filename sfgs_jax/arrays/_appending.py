@@ -21,10 +21,10 @@ def appended(
 ) -> Shaped[np.ndarray, "k ..."]:
     """The rows of both arrays, of the type of the first.
 
-    Where the first was made by this function, and nothing was appended to it before, the new rows go behind
-    it into memory that both share. So n rows appended one by one copy about 3 n of them, not n² / 2. An array
-    that was there before keeps its rows, whatever is appended to it. They are not to be written to, and one
-    thread at a time appends.
+    The new rows go behind the first array, into memory that both share, if this function made that and
+    nothing was appended to it before. So n rows appended one by one copy about 3 n of them, not n² / 2. An
+    array that was there before keeps its rows, whatever is appended to it. They are not to be written to, and
+    one thread at a time appends.
 
     Args:
         rows: (n, ...) the first.

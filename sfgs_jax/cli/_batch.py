@@ -69,7 +69,7 @@ def batch_command(arguments: list[str]) -> int:
     folder = options.out or Path("runs") / options.path.stem
     with _place(options, len(entries)) as place:
         batch = _Batch(entries, folder, overwrite=options.overwrite)
-        interrupted = batch.run(place, options.jobs, _say if not options.quiet else lambda line: None)
+        interrupted = batch.run(place, _say if not options.quiet else lambda line: None)
     print(batch_table(batch.outcomes))
     if interrupted:
         print("Interrupted; the same command goes on.", file=sys.stderr)
@@ -84,7 +84,7 @@ def _place(options: BatchArguments, recordings: int) -> Iterator[Machine | Clust
         jobs = options.jobs or max(1, available_cores() // _CORES_OF_A_RUN)
         yield Machine(min(jobs, recordings))
         return
-    with contextlib.closing(Cluster(options.scheduler)) as cluster:
+    with contextlib.closing(Cluster(options.scheduler, options.jobs)) as cluster:
         yield cluster
 
 
@@ -110,8 +110,8 @@ class _Batch:
         """Rows of the recordings in the list that have been begun."""
         return [self._outcomes[entry.name] for entry in self._entries if entry.name in self._outcomes]
 
-    def run(self, place: Machine | Cluster, most: int | None, say: _Say) -> bool:
-        """Run what is not finished, so many at a time; gives whether it was interrupted."""
+    def run(self, place: Machine | Cluster, say: _Say) -> bool:
+        """Run what is not finished; gives whether it was interrupted."""
         waiting = [entry for entry in self._entries if not self._is_done(entry)]
         if skipped := len(self._entries) - len(waiting):
             say(f"{skipped} of {len(self._entries)} finished before")
@@ -119,7 +119,7 @@ class _Batch:
         try:
             while waiting or running:
                 # Workers come and go.
-                while waiting and len(running) < (most or place.jobs):
+                while waiting and len(running) < place.jobs:
                     running.append(self._start(waiting.pop(0), place))
                 time.sleep(_POLL_S)
                 for run in [run for run in running if run.ended()]:

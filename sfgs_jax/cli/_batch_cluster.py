@@ -81,11 +81,12 @@ def _reason(error: Exception) -> str:
 class Cluster:
     """A Dask cluster whose workers run one recording in each of their threads."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, jobs: int | None = None) -> None:
         """Connect to a scheduler.
 
         Args:
             address: of the scheduler, like tcp://host:8786.
+            jobs: runs at a time; one for every thread of its workers if not given.
 
         Raises:
             InputError: Dask is not installed, or no scheduler with a worker answers.
@@ -108,15 +109,18 @@ class Cluster:
         except TimeoutError as error:
             self.close()
             raise InputError(f"The scheduler at {address} has no workers.") from error
+        self._jobs = jobs
         self._asked = distributed.Event(f"stop-{uuid.uuid4().hex}", client=self._client)
 
     @property
     def jobs(self) -> int:
-        """Runs at a time: threads of all workers that are there now.
+        """Runs at a time; the threads of all workers that are there now, if nothing else was asked for.
 
         Raises:
             InputError: the scheduler is gone.
         """
+        if self._jobs is not None:
+            return self._jobs
         try:
             threads = cast(dict[str, int], self._client.nthreads())
         except (OSError, CancelledError) as error:

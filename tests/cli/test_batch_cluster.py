@@ -5,6 +5,7 @@ import shlex
 import signal
 import threading
 import time
+from pathlib import Path
 
 import dask.config
 import pytest
@@ -91,6 +92,19 @@ def test_an_interrupted_batch_stops_the_runs_at_the_workers(scheduler, tmp_path,
     # The second one was not begun.
     (row,) = read_record(out / "batch.csv").values()
     assert (row.name, row.state) == (name, "interrupted")
+
+
+def test_a_worker_without_the_batchs_files_says_so(words, scheduler, tmp_path, monkeypatch, capsys):
+    (tmp_path / "list.txt").write_text(shlex.join(words))
+    out, elsewhere = tmp_path / "out", tmp_path / "not on the worker"
+    # The batch's folder, as a worker on a machine without it is told.
+    monkeypatch.setattr(Path, "cwd", lambda: elsewhere)
+    command = ["batch", str(tmp_path / "list.txt"), "--out", str(out), "--scheduler", scheduler]
+    assert main(command) == 1
+    (row,) = read_record(out / "batch.csv").values()
+    assert row.state == "failed"
+    assert f"does not see {out} and {elsewhere}: a cluster needs a file system" in row.message
+    assert row.message in capsys.readouterr().out
 
 
 def test_a_scheduler_that_is_not_there_gets_one_sentence(words, tmp_path, capsys):
