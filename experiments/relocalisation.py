@@ -30,7 +30,7 @@ from sfgs_jax.slam import (
     register,
     tracker_params,
 )
-from sfgs_jax.slam.frontend import similarities, supports_relocalisation, undisputed
+from sfgs_jax.slam.frontend import most_similar, supports_relocalisation, undisputed
 
 
 class Case(NamedTuple):
@@ -84,9 +84,10 @@ def places_of(
     """
     config = PRESETS["synthetic"].graph
     signatures = np.stack([np.asarray(seen.keypoints.signature) for _, seen in keyframes])
-    alike = similarities(signatures, np.asarray(features.keypoints.signature))
+    signature = np.asarray(features.keypoints.signature)
+    alike, _ = most_similar(signatures, signature, config.relocalisation_candidates)
     places = []
-    for number in np.argsort(-alike, kind="stable")[: config.relocalisation_candidates]:
+    for number in alike:
         at, target = keyframes[number]
         found = register(params, features, target, se3.identity(), guess_known=False)
         if not supports_relocalisation(found, config):

@@ -38,7 +38,8 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
     config = config or SlamConfig()
     params = tracker_params(camera, config.tracking, sensors)
     tracker = init_tracker(params)
-    graph = empty_graph(depth_parameters_in_use(params), prior_noise(config.graph))
+    size = tracker.references.keypoints.signature.shape[-1]
+    graph = empty_graph(depth_parameters_in_use(params), prior_noise(config.graph), size)
     if config.tracking.estimate_timing:
         _, covariance = estimated_timing(params, tracker)
         graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))

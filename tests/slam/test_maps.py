@@ -122,8 +122,9 @@ def _graph(runs, references, places):
         for number, reference in enumerate(references)
     )
     covariances = 1e-4 * np.arange(len(places))[:, None, None] * np.eye(6)
-    graph = empty_graph(np.zeros(0), prior_noise(slam.GraphConfig()))
-    return replace(graph, keyframes=keyframes, poses=poses, covariances=covariances)
+    graph = empty_graph(np.zeros(0), prior_noise(slam.GraphConfig()), 1)
+    signatures = np.tile(np.asarray(template.features.keypoints.signature), (len(places), 1))
+    return replace(graph, keyframes=keyframes, poses=poses, covariances=covariances, signatures=signatures)
 
 
 def _edge(target, source, shift, deviation=0.01):

@@ -114,6 +114,11 @@ def test_landmarks_and_edges_are_those_of_their_keyframes(both, first, second):
     assert len(pairs) == len(both.graph.edges)
 
 
+def test_signatures_are_those_of_their_keyframes(both):
+    own = [np.asarray(keyframe.features.keypoints.signature) for keyframe in both.graph.keyframes]
+    np.testing.assert_array_equal(both.graph.signatures, own)
+
+
 def test_surface_that_both_maps_have_is_there_once(both, first, second, walk):
     count, parts = both.mapping.num_gaussians, (first.mapping.num_gaussians, second.mapping.num_gaussians)
     assert max(parts) < count < 0.8 * sum(parts)

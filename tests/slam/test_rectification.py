@@ -139,7 +139,7 @@ def early(recordings, seen):
         Edge(a, b, one, matrix, one, matrix, False, loop, none, free, free)
         for a, b, loop in ((0, 1, False), (1, 2, False), (0, 2, True))
     )
-    graph = empty_graph(none, prior_noise(config.graph))
+    graph = empty_graph(none, prior_noise(config.graph), 0)
     return params, replace(graph, keyframes=(keyframe,), edges=edges)
 
 

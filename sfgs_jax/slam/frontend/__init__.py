@@ -10,7 +10,8 @@ from sfgs_jax.slam.frontend._frame_features import host_keypoints as host_keypoi
 from sfgs_jax.slam.frontend._frame_features import observe as observe
 from sfgs_jax.slam.frontend._frame_features import tracker_params as tracker_params
 from sfgs_jax.slam.frontend._frame_features import with_corrected_depth as with_corrected_depth
-from sfgs_jax.slam.frontend._image_signature import similarities as similarities
+from sfgs_jax.slam.frontend._image_signature import image_signature as image_signature
+from sfgs_jax.slam.frontend._image_signature import most_similar as most_similar
 from sfgs_jax.slam.frontend._joint_registration import Allowed as Allowed
 from sfgs_jax.slam.frontend._joint_registration import register as register
 from sfgs_jax.slam.frontend._keyframe_choice import needs_keyframe as needs_keyframe

@@ -2,34 +2,66 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.lax import Precision
+from jaxtyping import Array, Bool, Float, Int
 
+from sfgs_jax.arrays import checked
 from sfgs_jax.superfeats import Features
 
-_SIGNATURE_SIZE = 64
+_COMPONENTS = 32
+"""Components of a descriptor that take part. All 64 find as many places, with four times as many moments
+(`python -m experiments.signatures`)."""
 
 
-def image_signature(features: Features) -> Float[Array, " d"]:
-    """Descriptor of a whole image: the second moments of its keypoints' descriptors.
+@checked
+def image_signature(features: Features, *, components: int = _COMPONENTS) -> Float[Array, " d"]:
+    """Descriptor of a whole image, of unit length: the second moments of its keypoints' descriptors.
 
     Their signed square roots keep frequent structures from drowning rare ones. Two images' signatures are
     compared by their dot product, at most 1. Source: Carreira et al., Semantic segmentation with
     second-order pooling (ECCV 2012), with the power normalisation used for image retrieval.
+
+    Args:
+        features: of the image.
+        components: C, first components of a descriptor that take part.
+
+    Returns:
+        (C (C + 1) / 2,), 0 without keypoints.
     """
-    part = jnp.where(features.valid[:, None], features.descriptors, 0)[:, :_SIGNATURE_SIZE]
+    part = jnp.where(features.valid[:, None], features.descriptors, 0)[:, :components]
     count = jnp.maximum(jnp.sum(features.valid.astype(part.dtype)), 1)
-    moments = (part.T @ part / count).reshape(-1)
-    rooted = jnp.sign(moments) * jnp.sqrt(jnp.maximum(jnp.abs(moments), 1e-12))
+    rows, columns = np.triu_indices(part.shape[1])
+    moments = jnp.matmul(part.T, part, precision=Precision.HIGHEST)[rows, columns] / count
+    # A moment beside the diagonal stands for two.
+    times = np.where(rows == columns, 1, np.sqrt(2)).astype(part.dtype)
+    rooted = times * jnp.sign(moments) * jnp.sqrt(jnp.maximum(jnp.abs(moments), 1e-12))
     return jnp.where(jnp.any(features.valid), rooted / jnp.linalg.norm(rooted), 0)
 
 
-def similarities(
-    signatures: Float[np.ndarray, "n d"], signature: Float[np.ndarray, " d"]
-) -> Float[np.ndarray, " n"]:
-    """(n,) cosines between the signatures of images and another one.
+@checked
+def most_similar(
+    signatures: Float[np.ndarray, "n d"],
+    signature: Float[np.ndarray, " d"],
+    count: int,
+    *,
+    among: Bool[np.ndarray, " n"] | None = None,
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """The images most similar to another one, the most similar first and the earlier of equals.
 
     Args:
-        signatures: (n, D) of unit length.
-        signature: (D,) of unit length.
+        signatures: (n, D) of the images, of unit length.
+        signature: (D,) of the other one, of unit length.
+        count: most images.
+        among: (n,) images that are looked at; all if not given.
+
+    Returns:
+        (k,) their numbers and (k,) their cosines.
     """
-    return signatures @ signature
+    cosines = signatures @ signature
+    known = np.arange(len(signatures)) if among is None else np.flatnonzero(among)
+    if len(known) > count:
+        # A full sort of many thousands would take as long as the product.
+        least = np.partition(cosines[known], len(known) - count)[len(known) - count] if count else np.inf
+        known = known[cosines[known] >= least]
+    best = known[np.argsort(-cosines[known], kind="stable")][:count]
+    return best, cosines[best]

@@ -9,7 +9,6 @@
 Steps 2 to 4 run only where `track` has lost the frame.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,7 +21,7 @@ from sfgs_jax.geometry import Frame, se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend._depth_scale import is_same_scale
 from sfgs_jax.slam.frontend._frame_features import host_keypoints
-from sfgs_jax.slam.frontend._image_signature import similarities
+from sfgs_jax.slam.frontend._image_signature import most_similar
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._new_map import begin_map, with_unknown_place
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation
@@ -30,7 +29,7 @@ from sfgs_jax.slam.frontend._recorrection import features_in_use
 from sfgs_jax.slam.frontend._suspicion import NO_SUSPICION, is_reachable, strengthened, undisputed
 from sfgs_jax.slam.frontend._track import TrackInfo, allowed_sources, rectified_last, settle, track
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 from sfgs_jax.slam.state._tracker import (
     Suspicion,
@@ -146,15 +145,15 @@ def relocalise(
     """
     if not np.asarray(features.keypoints.features.valid).any():
         return None, NO_SUSPICION
-    alike = keyframe_similarities(graph.keyframes, features)
-    order = np.argsort(-alike, kind="stable")[: config.relocalisation_candidates]
+    signature = np.asarray(features.keypoints.signature)
+    alike, _ = most_similar(graph.signatures, signature, config.relocalisation_candidates)
     begun = int(tracker.reference_keyframes[tracker.current]) >= 0
     last = np.asarray(tracker.T_world_cam.wxyz_xyz) if begun else None
     since, doubtful = float(tracker.since_tracked), bool(tracker.doubtful_scale)
     found: list[Localised] = []
     poses: list[Float[np.ndarray, "7"]] = []
     T = se3.matrices_of(graph.poses)
-    for number in map(int, order):
+    for number in map(int, alike):
         target = features_in_use(params, graph.keyframes[number])
         registration = register(params, features, target, se3.identity(), guess_known=False)
         if not supports_relocalisation(registration, config):
@@ -203,17 +202,6 @@ def search_by_surface(params: TrackerParams, tracker: Tracker, features: FrameFe
         if int(found.source) not in (PoseSource.LOST, PoseSource.MOTION_MODEL):
             return Localised(int(keyframe), target, pose, found, bridged, False)
     return None
-
-
-def keyframe_similarities(keyframes: Sequence[Keyframe], features: FrameFeatures) -> np.ndarray:
-    """(n,) similarity of each keyframe's image to a frame's, at most 1.
-
-    Args:
-        keyframes: the n keyframes.
-        features: of the frame.
-    """
-    signatures = np.stack([np.asarray(k.features.keypoints.signature) for k in keyframes])
-    return similarities(signatures, np.asarray(features.keypoints.signature))
 
 
 def place(

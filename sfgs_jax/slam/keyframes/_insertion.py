@@ -8,6 +8,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Bool, Float
 
+from sfgs_jax.arrays import appended
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import Found, depth_parameters_in_use, estimated_timing, features_in_use
@@ -170,6 +171,7 @@ def _with_keyframe(
         keyframes=(*graph.keyframes, keyframe),
         poses=np.concatenate([graph.poses, pose[None]]),
         covariances=np.concatenate([graph.covariances, covariance]),
+        signatures=appended(graph.signatures, np.asarray(new.features.keypoints.signature)[None]),
     )
 
 

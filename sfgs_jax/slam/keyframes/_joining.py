@@ -38,6 +38,7 @@ def joined_graphs(graph: KeyframeGraph, other: KeyframeGraph, shift: int) -> Key
         keyframes=(*graph.keyframes, *after),
         poses=np.concatenate([graph.poses, poses]),
         covariances=np.concatenate([graph.covariances, other.covariances]),
+        signatures=np.concatenate([graph.signatures, other.signatures]),
         edges=absorbed + new,
         num_absorbed=len(absorbed),
         pending=(*graph.pending, *((a + first, b + first) for a, b in other.pending)),
@@ -69,8 +70,7 @@ def pairs_that_look_alike(graph: KeyframeGraph, first: int, config: GraphConfig,
         config: settings.
         most: pairs for each keyframe of the second recording.
     """
-    signatures = np.stack([np.asarray(k.features.keypoints.signature) for k in graph.keyframes])
-    alike = signatures[first:] @ signatures[:first].T
+    alike = graph.signatures[first:] @ graph.signatures[:first].T
     best = np.argsort(-alike, axis=1, kind="stable")[:, :most]
     similarity = np.take_along_axis(alike, best, axis=1)
     rows, columns = np.nonzero(similarity > config.loop_similarity)

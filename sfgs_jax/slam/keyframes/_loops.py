@@ -8,7 +8,7 @@ import numpy as np
 
 from sfgs_jax.factor_graph import Values, consistent_loops
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend._localisation import keyframe_similarities
+from sfgs_jax.slam.frontend import most_similar
 from sfgs_jax.slam.keyframes._edges import relative_poses
 from sfgs_jax.slam.keyframes._pose_graph import padded_poses, pose_capacity
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
@@ -29,10 +29,9 @@ def loop_pairs(graph: KeyframeGraph, config: GraphConfig) -> tuple[tuple[int, in
     far = (np.arange(newest) < newest - config.loop_gap) | (maps[:newest] != maps[newest])
     if not config.loops or not far.any():
         return ()
-    alike = keyframe_similarities(graph.keyframes, graph.keyframes[newest].features)[:newest]
-    alike = np.where(far, alike, -np.inf)
-    order = np.argsort(-alike, kind="stable")[: config.loop_candidates]
-    return tuple((int(i), newest) for i in order if alike[i] > config.loop_similarity)
+    known, signature = graph.signatures[:newest], graph.signatures[newest]
+    alike, cosines = most_similar(known, signature, config.loop_candidates, among=far)
+    return tuple((int(i), newest) for i in alike[cosines > config.loop_similarity])
 
 
 def likely_drift(graph: KeyframeGraph, start: int, end: int, config: GraphConfig) -> float:

@@ -189,6 +189,7 @@ class KeyframeGraph:
         keyframes: nodes, oldest first.
         poses: (n, 7) their `T_world_cam` as wxyz_xyz, on the host.
         covariances: (n, 6, 6) of the poses' tangents, as if the first camera of their map were known.
+        signatures: (n, D) of the keyframes' images, side by side for a search.
         edges: registrations that were accepted, in their order.
         noise: of the edges.
         num_absorbed: how many of them the poses hold already.
@@ -206,6 +207,7 @@ class KeyframeGraph:
     keyframes: tuple[Keyframe, ...]
     poses: Float[np.ndarray, "n 7"]
     covariances: Float[np.ndarray, "n 6 6"]
+    signatures: Float[np.ndarray, "n D"]
     edges: tuple[Edge, ...]
     noise: EdgeNoise
     num_absorbed: int
@@ -241,17 +243,21 @@ class KeyframeGraph:
         return jaxlie.SE3(self.poses[number])
 
 
-def empty_graph(depth_parameters: Float[np.ndarray, " G"], noise: EdgeNoise) -> KeyframeGraph:
+def empty_graph(
+    depth_parameters: Float[np.ndarray, " G"], noise: EdgeNoise, signature_size: int
+) -> KeyframeGraph:
     """The graph before the first keyframe.
 
     Args:
         depth_parameters: (G,) of the depth correction to start from; none if depth is not corrected.
         noise: of the edges to come.
+        signature_size: D of an image's signature.
     """
     return KeyframeGraph(
         keyframes=(),
         poses=np.zeros((0, 7), np.float32),
         covariances=np.zeros((0, 6, 6)),
+        signatures=np.zeros((0, signature_size), np.float32),
         edges=(),
         noise=noise,
         num_absorbed=0,
