@@ -34,6 +34,20 @@ def assert_equal(a, b):
         np.testing.assert_array_equal(x, y)
 
 
+def test_keyframes_that_are_new_or_changed_go_to_disk(room, frames, busy, tmp_path):
+    before = spill(follow(slam.init(room.camera, busy), frames[:4]), tmp_path)
+    state = follow(before, frames[4:7])
+    keyframes = list(state.graph.keyframes)
+    assert len(keyframes) > len(before.graph.keyframes)
+    in_memory = jax.tree.map(np.array, keyframes[0].features)
+    keyframes[0] = replace(keyframes[0], features=in_memory, edition=1)
+    state = replace(state, graph=replace(state.graph, keyframes=tuple(keyframes)))
+    for found in (spill(state, tmp_path, before=before), spill(state, tmp_path)):
+        on_disk = [isinstance(k.features.keypoints.depth, np.memmap) for k in found.graph.keyframes]
+        assert on_disk == [True] * (len(keyframes) - 1) + [False]
+        assert_equal(found, state)
+
+
 def test_a_saved_state_goes_on_to_the_same_end(room, frames, busy, tmp_path):
     half = follow(slam.init(room.camera, busy), frames[:6])
     assert len(half.graph.keyframes) > 1

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import Any, TypeVar
@@ -261,6 +262,7 @@ def run(
     with result.stopwatch("compilation"):
         warm_up(camera, config)
     _stored(result, result.state, storage, _without_other_images)
+    result.advance(state=_stored(result, result.state, storage, spill))
     worker = _map_worker(result, config, storage, realtime=realtime)
     try:
         for number, frame in worker.frames(frames):
@@ -325,7 +327,8 @@ def _advance(
     except FrameError as error:
         found = error
     else:
-        state = _stored(run, replace(state, mapping=worker.mapping), storage, spill)
+        put = partial(spill, before=run.state)
+        state = _stored(run, replace(state, mapping=worker.mapping), storage, put)
     # Numbers that were left out are frames that came too fast.
     run.advance(
         state=state,

@@ -146,16 +146,21 @@ def load(folder: Path | str, config: SlamConfig, camera: Camera | None = None) -
     )
 
 
-def spill(state: SlamState, folder: Path) -> SlamState:
+def spill(state: SlamState, folder: Path, *, before: SlamState | None = None) -> SlamState:
     """The state with the images of all but the newest keyframes on disk, not in memory.
 
     Args:
-        state: before.
+        state: with all images in memory, or some.
         folder: made if it is not there; it belongs to one run.
+        before: an earlier state of the run that this function gave back. Only keyframes that have changed
+            since are looked at: in a long run there are thousands.
     """
-    keyframes = list(state.graph.keyframes)
-    kept = state.config.mapping.views_in_memory
-    for i in _in_memory(keyframes, kept, lambda k: k.features.keypoints.depth):
+    keyframes, kept = list(state.graph.keyframes), state.config.mapping.views_in_memory
+    known = () if before is None else before.graph.keyframes[: -kept or None]
+    old = range(len(keyframes) - kept)
+    for i in (i for i in old if i >= len(known) or keyframes[i] is not known[i]):
+        if isinstance(keyframes[i].features.keypoints.depth, np.memmap):
+            continue
         path = _keyframe_file(folder, i, keyframes[i])
         _write_once(path, keyframes[i].features)
         keyframes[i] = replace(keyframes[i], features=_read_images(path, keyframes[i].features))
