@@ -28,12 +28,14 @@ class TileLists(eqx.Module):
         starts: (T,) position in `gaussians` at which each tile's list begins.
         counts: (T,) length of each tile's list.
         overflow: number of pairs that found no room. They belong to the Gaussians of the highest index.
+        needed: room for pairs that the image needs, at least so much where some found none.
     """
 
     gaussians: Int[Array, " p"]
     starts: Int[Array, " t"]
     counts: Int[Array, " t"]
     overflow: Int[Array, ""]
+    needed: Int[Array, ""]
 
 
 def tile_grid(width: int, height: int, tile_size: int) -> tuple[int, int]:
@@ -61,9 +63,9 @@ def bin_into_tiles(
     """
     columns, rows = tile_grid(width, height, tile_size)
     tiles = columns * rows
-    spans, row_overflow = _row_spans(projected, columns, rows, tile_size, pair_capacity)
+    spans, num_spans = _row_spans(projected, columns, rows, tile_size, pair_capacity)
 
-    entry, offset, pair_overflow = _expand(spans.counts, pair_capacity)
+    entry, offset, num_pairs = _expand(spans.counts, pair_capacity)
     tile = spans.first_tiles[entry] + offset
     tile = jnp.where(offset >= 0, tile, tiles)
     gaussian = spans.gaussians[entry]
@@ -78,7 +80,8 @@ def bin_into_tiles(
         ),
         starts=jnp.cumsum(counts) - counts,
         counts=counts,
-        overflow=row_overflow + pair_overflow,
+        overflow=sum(jnp.maximum(count - pair_capacity, 0) for count in (num_spans, num_pairs)),
+        needed=jnp.maximum(num_spans, num_pairs),
     )
 
 
@@ -115,10 +118,10 @@ class _RowSpans(eqx.Module):
 def _row_spans(
     projected: Projected, columns: int, rows: int, tile_size: int, capacity: int
 ) -> tuple[_RowSpans, Int[Array, ""]]:
-    """The spans of all Gaussians, and the number of spans that found no room."""
+    """The spans of all Gaussians, as far as there is room, and their number."""
     ellipses = _Ellipses.of(projected)
     first_row, row_counts = ellipses.tile_rows(rows, tile_size)
-    owner, offset, overflow = _expand(row_counts, capacity)
+    owner, offset, number = _expand(row_counts, capacity)
     row = first_row[owner] + offset
     first_column, counts = ellipses.at(owner).tile_columns(row, columns, tile_size)
     spans = _RowSpans(
@@ -126,7 +129,7 @@ def _row_spans(
         first_tiles=row * columns + first_column,
         counts=jnp.where(offset >= 0, counts, 0),
     )
-    return spans, overflow
+    return spans, number
 
 
 class _Ellipses(eqx.Module):
@@ -210,7 +213,7 @@ def _expand(
 
     Returns:
         The owner (capacity,) of each slot; the slot's offset (capacity,) from its owner's first, -1 where it
-        is free; and the number of slots that were missing.
+        is free; and the number of slots that all owners want.
     """
     ends = jnp.cumsum(counts)
     starts = ends - counts
@@ -219,4 +222,4 @@ def _expand(
     owner = prefix_sums(marks) - 1
     slot = jnp.arange(capacity, dtype=jnp.int32)
     offset = jnp.where(slot < ends[-1], slot - starts[owner], -1)
-    return owner, offset, jnp.maximum(ends[-1] - capacity, 0)
+    return owner, offset, ends[-1]

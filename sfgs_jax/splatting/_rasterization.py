@@ -26,12 +26,14 @@ class Raster(eqx.Module):
         median: (H, W) index of the Gaussian at which the transmittance falls to one half; -1 where it stays
             above.
         overflow: number of (tile, Gaussian) pairs that found no room; 0 when the images are complete.
+        needed: room for pairs that the images need, at least so much where some found none.
     """
 
     accumulated: Float[Array, "h w c"]
     alpha: Float[Array, "h w"]
     median: Int[Array, "h w"]
     overflow: Int[Array, ""]
+    needed: Int[Array, ""]
 
 
 @checked
@@ -87,6 +89,7 @@ def _rasterize(
         alpha=image[..., -1],
         median=_median(passed, lists, width, height, config.tile_size),
         overflow=lists.overflow,
+        needed=lists.needed,
     )
 
 

@@ -32,6 +32,7 @@ class RenderOutput(eqx.Module):
         features: (H, W, C) sum of weights times features, without a background; None if none were given.
         overflow: number of (tile, Gaussian) pairs that found no room, 0 when the images are complete; the
             function `pair_capacity` tells how much room a view needs.
+        needed: room for pairs that the images need, at least so much where some found none.
         surface_depth: (H, W) depth along z where the pixel's ray meets the surfaces, metres. It is the
             weighted harmonic mean of the Gaussians' depths at the pixel, 0 where alpha is 0. On a plane of
             flat Gaussians it is the plane's depth. None unless the settings ask for it.
@@ -44,6 +45,7 @@ class RenderOutput(eqx.Module):
     alpha: Float[Array, "h w"]
     features: Float[Array, "h w c"] | None
     overflow: Int[Array, ""]
+    needed: Int[Array, ""]
     surface_depth: Float[Array, "h w"] | None = None
 
 
@@ -141,6 +143,7 @@ def _render(
         alpha=alpha,
         features=None if features is None else raster.accumulated[..., 4 : 4 + features.shape[1]],
         overflow=raster.overflow,
+        needed=raster.needed,
         surface_depth=None
         if slopes is None
         else surface_depth_of(raster.accumulated[..., -3:], alpha, middle),

@@ -31,7 +31,7 @@ def render(
     """Draw the Gaussians as the camera sees them, without tiles.
 
     Arguments and result are those of `splatting.render`. The tile size and the pair capacity of `config` have
-    no influence, and `overflow` is 0.
+    no influence, and `overflow` and `needed` are 0.
     """
     pose = se3.as_se3(T_world_cam, name="T_world_cam")
     with jax.default_matmul_precision("highest"):
@@ -83,6 +83,7 @@ def _render(
         alpha=alpha,
         features=None if features is None else drawn_features,
         overflow=jnp.int32(0),
+        needed=jnp.int32(0),
         surface_depth=jnp.where(alpha > 0, alpha / jnp.where(alpha > 0, inverse, 1), 0)
         if config.surface_depth
         else None,

@@ -111,6 +111,7 @@ def test_a_landmark_that_many_keyframes_show_needs_no_larger_program(run, config
         keyframes=graph.keyframes * times,
         poses=np.tile(graph.poses, (times, 1)),
         covariances=np.tile(graph.covariances, (times, 1, 1)),
+        signatures=np.tile(graph.signatures, (times, 1)),
         edges=tuple(replace(graph.edges[0], target=i, source=i + 1) for i in range(5 * times - 1)),
     )
     few, many = (slam.window_of(run.params, g, config).graph for g in (graph, crowd))
@@ -148,6 +149,31 @@ def test_results_are_taken_so_many_frames_later(run, config):
     assert graph.adjustment is None
     np.testing.assert_array_equal(graph.poses, with_adjustment_taken(begun).poses)
     assert np.abs(graph.poses - run.graph.poses).max() > 1e-5
+
+
+def test_the_next_adjustment_begins_after_the_one_under_way(run, config):
+    pairs = [(edge.target, edge.source) for edge in run.graph.edges]
+    settings = replace(config.graph, adjustment_frames=2)
+    graph = with_adjustment_begun(run.params, replace(run.graph, num_absorbed=len(pairs)), settings)
+    graph = replace(graph, pending=(pairs[1],), again=())
+    begun = []
+    for _ in range(5):
+        graph, _ = advance_graph(run.params, graph, settings, grown=False)
+        begun.append((graph.adjustment is not None, graph.num_absorbed < len(graph.edges)))
+    # The new edge is left out for two frames. Then it is taken in, and nothing is left to do.
+    assert begun == [(True, True), (True, True), (True, False), (True, False), (True, False)]
+    graph, _ = advance_graph(run.params, graph, settings, grown=False)
+    assert graph.adjustment is None
+
+
+def test_a_bent_graph_has_more_time_the_larger_it_is(run, config):
+    assert len(run.graph.keyframes) == 5
+    settings = replace(config.graph, adjustment_frames=3, window=2)
+    frames = [
+        with_adjustment_begun(run.params, run.graph, settings, bent=bent).adjustment.frames_left
+        for bent in (False, True)
+    ]
+    assert frames == [3, 6]
 
 
 def test_keyframes_that_came_meanwhile_move_with_their_reference(run):

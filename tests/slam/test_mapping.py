@@ -389,13 +389,12 @@ def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):
 
 def test_the_larger_map_is_compiled_before_it_is_needed(seeded, config, compilations):
     mapping, camera = seeded.mapping, seeded.mapping_camera
-    assert compile_ahead(mapping, camera, config.mapping) is None, "it is not three quarters full"
+    assert not compile_ahead(mapping, camera, config.mapping, needed=0), "it is not three quarters full"
     used = mapping.num_gaussians
     full = jax.tree.map(lambda x: x[: int(used / 0.9)], mapping.map)
     assert int(full.gaussians.valid.sum()) == used, "the used slots come first"
     mapping = replace(mapping, map=full)
-    prepared = compile_ahead(mapping, camera, config.mapping)
-    assert prepared is not None
+    (prepared,) = compile_ahead(mapping, camera, config.mapping, needed=0)
     prepared.result()
 
     compilations.clear()
@@ -406,4 +405,32 @@ def test_the_larger_map_is_compiled_before_it_is_needed(seeded, config, compilat
     pruned = prune(mapping.map, config.mapping.prune_opacity)
     jax.block_until_ready((pruned, move(mapping.map, mapping.keyframe_poses, moved)))
     assert not compilations
-    assert compile_ahead(replace(mapping, map=full), camera, config.mapping) is None, "it was asked for"
+    assert not compile_ahead(replace(mapping, map=full), camera, config.mapping, needed=0), "it was asked for"
+
+
+def test_more_room_for_pairs_is_compiled_before_it_is_needed(seeded, config, compilations):
+    mapping, camera = seeded.mapping, seeded.mapping_camera
+    _, done = step_on_view(mapping, 0, camera, config.mapping, learn=False)
+    needed = int(done.needed)
+    tight = replace(mapping, pair_capacity=needed * 5 // 4)
+    assert int(step_on_view(tight, 0, camera, config.mapping, learn=False)[1].overflow) == 0
+    (prepared,) = compile_ahead(tight, camera, config.mapping, needed=needed)
+    prepared.result()
+
+    compilations.clear()
+    roomy = replace(tight, pair_capacity=2 * tight.pair_capacity)
+    roomy, _ = insert_view(roomy, roomy.views[0], camera, config.mapping)
+    optimise_once(roomy, camera, config.mapping, newest_share=1.0)
+    assert not compilations
+    assert not compile_ahead(tight, camera, config.mapping, needed=needed), "it was asked for"
+
+
+def test_a_view_that_lacks_room_for_pairs_gets_it(seeded, config):
+    mapping, camera = seeded.mapping, seeded.mapping_camera
+    _, roomy = step_on_view(mapping, 0, camera, config.mapping)
+    needed = int(roomy.needed)
+    assert 0 < needed < mapping.pair_capacity
+    after, tight = step_on_view(replace(mapping, pair_capacity=needed - 1), 0, camera, config.mapping)
+    assert after.pair_capacity == 2 * (needed - 1)
+    assert int(tight.overflow) == 0
+    np.testing.assert_allclose(tight.loss, roomy.loss, rtol=1e-6)

@@ -41,6 +41,7 @@ def rendering_at(T_world_cam, alpha: float = 1.0) -> RenderOutput:
         alpha=jnp.full(depth.shape, alpha),
         features=None,
         overflow=jnp.asarray(0),
+        needed=jnp.asarray(0),
     )
 
 

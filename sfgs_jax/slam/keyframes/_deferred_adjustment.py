@@ -32,6 +32,9 @@ def with_adjustment_begun(
 ) -> KeyframeGraph:
     """The graph with an adjustment started; it does not wait for the results.
 
+    To bend all keyframes takes longer, the more of them there are: it gets the time of a window's adjustment
+    for every two windows of them.
+
     Args:
         params: parameters of tracking.
         graph: without an adjustment.
@@ -42,7 +45,8 @@ def with_adjustment_begun(
     if len(graph.keyframes) < 2:
         return graph
     results = _aside.submit(_adjusted, params, graph, config, around, bent)
-    return replace(graph, adjustment=PendingAdjustment(results, config.adjustment_frames))
+    times = 1 + (len(graph.keyframes) // (2 * config.window) if bent else 0)
+    return replace(graph, adjustment=PendingAdjustment(results, times * config.adjustment_frames))
 
 
 def _adjusted(

@@ -38,6 +38,8 @@ def advance_graph(
 ) -> tuple[KeyframeGraph, bool]:
     """Register a pair or so of keyframes. Once no new pair waits, and once none does, optimise.
 
+    That is put off while an adjustment is under way.
+
     Args:
         params: parameters of tracking.
         graph: before.
@@ -61,7 +63,9 @@ def advance_graph(
         graph, closed_now = _register_next(params, graph, config)
         closed |= closed_now
     done = not graph.pending and (waited or grown or (waited_again and not graph.again))
-    if closed or done:
+    overdue = not (graph.pending or graph.again) and graph.num_absorbed < len(graph.edges)
+    # One that is under way is not waited for: the next begins after it.
+    if (closed or done or overdue) and graph.adjustment is None:
         graph = with_new_depth_parameters(params, graph)
         graph = _optimised(params, replace(graph, noise=edge_noise(params, graph, config)), config)
     return graph, closed
@@ -102,8 +106,7 @@ def _optimised(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig)
     is seen again elsewhere than where the graph has it.
     """
     if not _has_landmarks(params, config):
-        return optimise_poses(graph, config)
-    graph = with_adjustment_taken(graph)
+        return replace(optimise_poses(graph, config), num_absorbed=len(graph.edges))
     new = graph.edges[graph.num_absorbed :]
     off = len(graph.keyframes) > config.window and is_contradicted(graph)
     graph = with_adjustment_begun(params, graph, config, bent=off or any(edge.loop for edge in new))

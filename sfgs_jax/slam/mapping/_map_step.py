@@ -26,8 +26,8 @@ _PRIOR_SHARE = 0.1
 """What a gain of 1 counts for, as a share of a view's pixels, so that a chain of views does not drift."""
 
 
-_About = tuple[Array, Array, Array, Array]
-"""Fields of `MapStep` that come with the loss: missing, gain, seed_gain, overflow."""
+_About = tuple[Array, Array, Array, Array, Array]
+"""Fields of `MapStep` that come with the loss: missing, gain, seed_gain, overflow, needed."""
 
 
 def mapping_loss(
@@ -85,6 +85,7 @@ class MapStep(NamedTuple):
         seed_gain: the same for the colours of new Gaussians, where the map is still transparent.
         overflow: pairs that did not fit. Where it is not 0 the rendering was incomplete; repeat the step with
             more room.
+        needed: room for pairs that the rendering needed, at least so much where some did not fit.
         pose_gradient: (6,) of the loss by the tangent of the view's pose, on the right.
     """
 
@@ -94,6 +95,7 @@ class MapStep(NamedTuple):
     gain: Float[Array, "3"]
     seed_gain: Float[Array, "3"]
     overflow: Int[Array, ""]
+    needed: Int[Array, ""]
     pose_gradient: Float[Array, "6"]
 
 
@@ -135,12 +137,10 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
         return _loss(params, gaussian_map.gaussians, view, T, values)
 
     values, still = parameters(gaussian_map.gaussians), jnp.zeros(6)
-    (loss, (missing, gain, seed_gain, overflow)), found = jax.value_and_grad(
-        loss_of, argnums=(0, 1), has_aux=True
-    )(values, still)
+    (loss, about), found = jax.value_and_grad(loss_of, argnums=(0, 1), has_aux=True)(values, still)
     gradients, pose_gradient = found
     optimised = _adam(gaussian_map, gradients, params.config, params.rate)
-    return MapStep(optimised, loss, missing, gain, seed_gain, overflow, pose_gradient)
+    return MapStep(optimised, loss, *about, pose_gradient)
 
 
 @jax.jit
@@ -150,8 +150,7 @@ def compare_with_map(
     """All that `map_step` finds but no step: the map comes back as it was. Arguments as of `map_step`."""
     values = parameters(gaussian_map.gaussians)
     loss, about = _loss(params, gaussian_map.gaussians, view, T_world_cam, values)
-    missing, gain, seed_gain, overflow = about
-    return MapStep(gaussian_map, loss, missing, gain, seed_gain, overflow, jnp.zeros(6))
+    return MapStep(gaussian_map, loss, *about, jnp.zeros(6))
 
 
 def _loss(
@@ -172,7 +171,7 @@ def _loss(
         # Only what tells this view from the others: the map itself keeps their mean.
         out = replace(out, rgb=with_gain(out.rgb, gain / params.mean_gain))
     loss = mapping_loss(out, rgb, depth, valid, params.config)
-    return loss, (lacking, gain, seed_gain, out.overflow)
+    return loss, (lacking, gain, seed_gain, out.overflow, out.needed)
 
 
 def _gains(

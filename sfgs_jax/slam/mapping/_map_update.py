@@ -9,7 +9,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import Background
+from sfgs_jax.arrays import Background, doubled
 from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.sensors import SensorTiming, with_gain
 from sfgs_jax.slam.config import MappingConfig
@@ -28,12 +28,9 @@ from sfgs_jax.slam.state._gaussian_map import empty_map, grow, move
 from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._slam_state import SlamState
 from sfgs_jax.slam.state._step_info import Stages, untimed
-from sfgs_jax.splatting import pair_capacity
 
 _DRAWS = 20
 """Views drawn before the newest is taken, where most of them show places that are paged out."""
-_HEADROOM = 1.5
-"""Room for pairs that a view gets, as a multiple of its need: the next views need a little more."""
 
 _background = Background()
 
@@ -112,7 +109,7 @@ def insert_view(
     """Keep a view, and set Gaussians where the map lacks its surface. The map grows where it is full.
 
     A rendering of the view, which is that of the first step on it, tells where surface is missing. Before the
-    map is full, the programs of a larger one are compiled in the background.
+    map or a rendering's room for pairs is full, the programs of a larger one are compiled in the background.
 
     Args:
         mapping: the map, which knows of the view's keyframe.
@@ -123,35 +120,48 @@ def insert_view(
     Returns:
         The map state, and the loss of the map before.
     """
-    mapping, loss = _with_view(mapping, view, camera, config)
-    compile_ahead(mapping, camera, config)
-    return mapping, loss
+    mapping, done = _with_view(mapping, view, camera, config)
+    compile_ahead(mapping, camera, config, needed=int(done.needed))
+    return mapping, float(done.loss)
 
 
-def compile_ahead(mapping: MapState, camera: Camera, config: MappingConfig) -> Future[object] | None:
-    """Compile the programs of a map with twice the room in the background, once it is three quarters full.
+def compile_ahead(
+    mapping: MapState, camera: Camera, config: MappingConfig, *, needed: int
+) -> list[Future[object]]:
+    """Compile the programs of twice the room in the background, once there is a quarter left of it.
 
     Args:
         mapping: the map, with at least one view.
         camera: of the views.
         config: settings.
+        needed: room for pairs that the newest view needs.
 
     Returns:
-        Done when they are compiled; None if there is room enough, or they have been asked for before.
+        Done when they are compiled: those of a larger map, and of more room for pairs. None of them where
+        there is room enough, or where they have been asked for before.
     """
     valid = np.asarray(mapping.map.gaussians.valid)
-    capacity = len(valid)
-    if 2 * capacity > config.max_capacity or valid.sum() <= capacity * 3 // 4:
-        return None
-    key = (2 * capacity, mapping.pair_capacity, camera.shape, config)
-    return _background.once(key, _use_larger, mapping, camera, config)
+    capacity, pairs = len(valid), mapping.pair_capacity
+    rooms = []
+    if 2 * capacity <= config.max_capacity and valid.sum() > capacity * 3 // 4:
+        rooms.append((2 * capacity, pairs))
+    if needed > pairs * 3 // 4:
+        rooms.append((capacity, 2 * pairs))
+    begun = [
+        _background.once((*room, camera.shape, config), _use_room, room, mapping, camera, config)
+        for room in rooms
+    ]
+    return [future for future in begun if future is not None]
 
 
-def _use_larger(mapping: MapState, camera: Camera, config: MappingConfig) -> None:
-    """Take the newest view into an empty map with twice the room, by the programs of a run."""
-    larger = grow(empty_map(mapping.map.gaussians.valid.shape[0]))
+def _use_room(room: tuple[int, int], mapping: MapState, camera: Camera, config: MappingConfig) -> None:
+    """Take the newest view into an empty map with room for Gaussians and pairs, by the programs of a run."""
+    capacity, pairs = room
+    empty = empty_map(mapping.map.gaussians.valid.shape[0])
+    if len(empty.updates) < capacity:
+        empty = grow(empty)
     view, poses = mapping.views[-1], mapping.keyframe_poses
-    mapping = replace(mapping, map=larger, views=(), submaps=())
+    mapping = replace(mapping, map=empty, views=(), submaps=(), pair_capacity=pairs)
     mapping, _ = _with_view(mapping, view, camera, config)
     mapping, _ = step_on_view(mapping, -1, camera, config)
     jax.block_until_ready((prune(mapping.map, config.prune_opacity), move(mapping.map, poses, poses)))
@@ -159,7 +169,7 @@ def _use_larger(mapping: MapState, camera: Camera, config: MappingConfig) -> Non
 
 def _with_view(
     mapping: MapState, view: View, camera: Camera, config: MappingConfig
-) -> tuple[MapState, float]:
+) -> tuple[MapState, MapStep]:
     mapping = with_surface_of(mapping, view, camera, config.paging)
     mapping = replace(mapping, views=(*mapping.views, view))
     mapping, done = step_on_view(mapping, -1, camera, config, learn=config.steps_per_view > 0)
@@ -181,7 +191,7 @@ def _with_view(
         map=seeded,
         dropped_seeds=mapping.dropped_seeds + int(dropped),
     )
-    return mapping, float(done.loss)
+    return mapping, done
 
 
 def optimise_once(
@@ -254,8 +264,7 @@ def step_on_view(
         done = (map_step if learn else compare_with_map)(params, mapping.map, view, T_world_cam)
         if not int(done.overflow):
             break
-        need = pair_capacity(mapping.map.gaussians, camera, T_world_cam, headroom=_HEADROOM)
-        mapping = replace(mapping, pair_capacity=max(need, 2 * mapping.pair_capacity))
+        mapping = replace(mapping, pair_capacity=doubled(mapping.pair_capacity, int(done.needed)))
     if not learn:
         return mapping, done
     num_steps, optimised = mapping.num_steps + 1, done.map

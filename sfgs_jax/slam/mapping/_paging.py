@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam.config import PagingConfig
-from sfgs_jax.slam.state._gaussian_map import GaussianMap
 from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._submaps import Submap, submap_of, with_submaps, without
 
@@ -103,15 +102,18 @@ def _without_far(
         return mapping
     host = jax.tree.map(np.asarray, mapping.map)
     valid, places = host.gaussians.valid, host.keyframes // config.place_keyframes
-    parts = _places(mapping, host, config.place_keyframes)
-    away = _distances(mapping, tuple(parts), position[None])[:, 0]
+    away = np.full(places.max(initial=0) + 1, np.inf, np.float32)
+    distances = np.linalg.norm(host.gaussians.means[valid] - position.astype(np.float32), axis=1)
+    np.minimum.at(away, places[valid], distances)
     leaving, gone = [], np.zeros_like(valid)
-    for i in np.argsort(-away, kind="stable"):
-        if away[i] < config.reach or count <= _KEPT * config.most_gaussians:
+    for place in np.argsort(-np.where(np.isfinite(away), away, -1), kind="stable"):
+        if not config.reach <= away[place] < np.inf or count <= _KEPT * config.most_gaussians:
             break
-        leaving.append(replace(parts[i], number=mapping.num_submaps + len(leaving)))
-        gone |= valid & (places == parts[i].keyframe // config.place_keyframes)
-        count -= len(parts[i])
+        there = valid & (places == place)
+        number = mapping.num_submaps + len(leaving)
+        leaving.append(submap_of(host, there, mapping.keyframe_poses, number))
+        gone |= there
+        count -= len(leaving[-1])
     if not leaving:
         return mapping
     return replace(
@@ -120,12 +122,3 @@ def _without_far(
         submaps=(*submaps, *leaving),
         num_submaps=mapping.num_submaps + len(leaving),
     )
-
-
-def _places(mapping: MapState, host: GaussianMap, size: int) -> list[Submap]:
-    """All Gaussians of the map as submaps by place, `size` keyframes each, none of them numbered yet."""
-    valid, places = host.gaussians.valid, host.keyframes // size
-    return [
-        submap_of(host, valid & (places == place), mapping.keyframe_poses, mapping.num_submaps)
-        for place in np.unique(places[valid])
-    ]
