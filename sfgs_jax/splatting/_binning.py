@@ -38,6 +38,26 @@ class TileLists(eqx.Module):
     needed: Int[Array, ""]
 
 
+class Occluder(eqx.Module):
+    """A surface that hides Gaussians from the camera.
+
+    Attributes:
+        nearest: (N,) least depth along z of each Gaussian, metres.
+        beyond: (H, W) depth along z of the surface, metres; 0 where it is unknown.
+    """
+
+    nearest: Float[Array, " n"]
+    beyond: Float[Array, "H W"]
+
+    def farthest(self, columns: int, rows: int, tile_size: int) -> Float[Array, " t"]:
+        """(T,) the surface's largest depth in each tile; infinite where it is unknown all over."""
+        height, width = self.beyond.shape
+        room = (0, rows * tile_size - height), (0, columns * tile_size - width)
+        tiles = jnp.pad(self.beyond, room).reshape(rows, tile_size, columns, tile_size)
+        largest = jnp.max(tiles, axis=(1, 3)).reshape(-1)
+        return jnp.where(largest > 0, largest, jnp.inf)
+
+
 def tile_grid(width: int, height: int, tile_size: int) -> tuple[int, int]:
     """Columns and rows of tiles that cover an image."""
     return -(-width // tile_size), -(-height // tile_size)
@@ -46,6 +66,7 @@ def tile_grid(width: int, height: int, tile_size: int) -> tuple[int, int]:
 @checked
 def bin_into_tiles(
     projected: Projected,
+    occluder: Occluder | None = None,
     *,
     width: int,
     height: int,
@@ -56,6 +77,7 @@ def bin_into_tiles(
 
     Args:
         projected: images of N Gaussians.
+        occluder: what hides some of them.
         width: of the image, pixels; static.
         height: of the image, pixels; static.
         tile_size: side of a tile, pixels; static.
@@ -69,6 +91,9 @@ def bin_into_tiles(
     tile = spans.first_tiles[entry] + offset
     tile = jnp.where(offset >= 0, tile, tiles)
     gaussian = spans.gaussians[entry]
+    if occluder is not None:
+        farthest = jnp.append(occluder.farthest(columns, rows, tile_size), -jnp.inf)
+        tile = jnp.where(occluder.nearest[gaussian] <= farthest[tile], tile, tiles)
     counts = jnp.zeros(tiles, jnp.int32).at[tile].add(1, mode="drop")
     return TileLists(
         gaussians=sort_by_tile_and_depth(
@@ -80,7 +105,7 @@ def bin_into_tiles(
         ),
         starts=jnp.cumsum(counts) - counts,
         counts=counts,
-        overflow=sum(jnp.maximum(count - pair_capacity, 0) for count in (num_spans, num_pairs)),
+        overflow=jnp.maximum(num_spans - pair_capacity, 0) + jnp.maximum(num_pairs - pair_capacity, 0),
         needed=jnp.maximum(num_spans, num_pairs),
     )
 

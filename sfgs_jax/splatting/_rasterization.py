@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import InputError, checked
-from sfgs_jax.splatting._binning import TileLists, bin_into_tiles, tile_grid
+from sfgs_jax.splatting._binning import Occluder, TileLists, bin_into_tiles, tile_grid
 from sfgs_jax.splatting._compositing import composite
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._projection import Projected
@@ -43,6 +43,7 @@ def rasterize(
     *,
     width: int,
     height: int,
+    occluder: Occluder | None = None,
     config: RenderConfig = DEFAULT,
 ) -> Raster:
     """Composite the features of the Gaussians front to back.
@@ -56,6 +57,7 @@ def rasterize(
             anything.
         width: of the image, pixels; static.
         height: of the image, pixels; static.
+        occluder: what hides some of the Gaussians.
         config: settings, static; only `tile_size` and `pair_capacity` have an influence.
 
     Raises:
@@ -64,16 +66,21 @@ def rasterize(
     require_rows("features", features, projected.visible.shape[0])
     if features.shape[0] == 0:
         projected, features = with_a_free_slot((projected, features))
-    return _rasterize(projected, features, width, height, config)
+    return _rasterize(projected, features, width, height, occluder, config)
 
 
 # Compiled here: hundreds of small programs would take longer. Inside a caller's jit it is inlined.
 @partial(jax.jit, static_argnames=("width", "height", "config"))
 def _rasterize(
-    projected: Projected, features: Float[Array, "n c"], width: int, height: int, config: RenderConfig
+    projected: Projected,
+    features: Float[Array, "n c"],
+    width: int,
+    height: int,
+    occluder: Occluder | None,
+    config: RenderConfig,
 ) -> Raster:
     lists = bin_into_tiles(
-        jax.lax.stop_gradient(projected),
+        *jax.lax.stop_gradient((projected, occluder)),
         width=width,
         height=height,
         tile_size=config.tile_size,

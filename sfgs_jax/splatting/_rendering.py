@@ -11,11 +11,15 @@ from jaxtyping import Array, Float, Int
 from sfgs_jax.arrays import InputError, checked_but
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter
+from sfgs_jax.splatting._binning import Occluder
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._projection import project
 from sfgs_jax.splatting._rasterization import rasterize, require_rows, with_a_free_slot
 from sfgs_jax.splatting._surface_depth import surface_depth_of, surface_features
+
+_DEVIATIONS = 3.0
+"""Standard deviations to which a Gaussian reaches towards the camera, at most."""
 
 
 class RenderOutput(eqx.Module):
@@ -59,6 +63,7 @@ def render(
     features: Float[Array, "n c"] | None = None,
     *,
     shutter: RollingShutter | None = None,
+    hidden_beyond: Float[Array, "H W"] | None = None,
     config: RenderConfig = DEFAULT,
 ) -> RenderOutput:
     """Draw the Gaussians as the camera sees them.
@@ -78,6 +83,9 @@ def render(
         features: (N, C) further values to composite, any number of channels.
         shutter: motion of the camera while its rows are exposed; the pose is that of the middle row. None for
             an image taken at once.
+        hidden_beyond: (H, W) depth along z, metres, behind which the camera sees nothing: that of a depth
+            image, with a margin; 0 where it is unknown. A tile leaves out the Gaussians that lie behind the
+            farthest of its pixels, which saves their time. Nothing is hidden if not given.
         config: settings, static.
 
     Raises:
@@ -94,7 +102,9 @@ def render(
     if count == 0:
         gaussians, colours, features = with_a_free_slot((gaussians, colours, features))
     try:
-        return _render(gaussians, camera, pose, background, colours, features, shutter, config=config)
+        return _render(
+            gaussians, camera, pose, background, colours, features, shutter, hidden_beyond, config=config
+        )
     except TypeError as error:
         if "custom_vjp" not in str(error):
             raise
@@ -114,6 +124,7 @@ def _render(
     colours: Float[Array, "n 3"] | None,
     features: Float[Array, "n c"] | None,
     shutter: RollingShutter | None,
+    hidden_beyond: Float[Array, "H W"] | None,
     *,
     config: RenderConfig,
 ) -> RenderOutput:
@@ -124,11 +135,16 @@ def _render(
         columns.append(features)
     if slopes is not None:
         columns.append(surface_features(projected.centres, projected.depths, slopes, middle))
+    occluder = None
+    if hidden_beyond is not None:
+        reach = _DEVIATIONS * jnp.exp(jnp.max(gaussians.log_scales, axis=1))
+        occluder = Occluder(projected.depths - reach, hidden_beyond)
     raster = rasterize(
         projected,
         jnp.concatenate(columns, axis=-1),
         width=camera.width,
         height=camera.height,
+        occluder=occluder,
         config=config,
     )
     colour, accumulated, alpha = raster.accumulated[..., :3], raster.accumulated[..., 3], raster.alpha

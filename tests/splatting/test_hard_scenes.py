@@ -159,3 +159,45 @@ def test_far_from_the_origin_renders_the_same():
     near = run("tiles", replace(scene, means=near_means), identity)
     far = run("tiles", replace(scene, means=near_means + offset[None]), moved)
     np.testing.assert_array_equal(far["image"], near["image"])
+
+
+@pytest.fixture
+def wall_and_room():
+    """A scene with every other Gaussian 10 m farther, and a depth before those, known on the left half."""
+    scene, camera = make_scene(seed=0), make_camera()
+    pose = make_pose()
+    forward = np.asarray(se3.matrix(pose))[:3, 2]
+    odd = np.arange(N)[:, None] % 2 == 1
+    scene = replace(scene, means=scene.means + jnp.where(odd, 10 * forward, 0))
+    depth = (np.asarray(scene.means) - np.asarray(pose.translation())) @ forward
+    near = depth - 3 * np.exp(np.asarray(scene.log_scales).max(axis=1)) < 5
+    assert 10 < near.sum() < N - 10
+    between = np.full(camera.shape, 5, np.float32)
+    between[:, camera.width // 2 :] = 0
+    return scene, near, camera, pose, jnp.asarray(between)
+
+
+def test_what_a_surface_hides_is_left_out(wall_and_room):
+    scene, near, camera, pose, between = wall_and_room
+    draw = partial(render, camera=camera, T_world_cam=pose, config=CONFIG)
+    found, whole = draw(scene, hidden_beyond=between), draw(scene)
+    front = draw(replace(scene, valid=scene.valid & near))
+    tiles = camera.width // 2 // CONFIG.tile_size * CONFIG.tile_size  # a tile across the middle hides as well
+    np.testing.assert_allclose(found.rgb[:, :tiles], front.rgb[:, :tiles], atol=1e-6)
+    tiles += CONFIG.tile_size
+    np.testing.assert_allclose(found.rgb[:, tiles:], whole.rgb[:, tiles:], atol=1e-6)
+    assert np.abs(whole.rgb - front.rgb)[:, :tiles].max() > 0.01, "there is something to hide"
+    assert int(found.needed) == int(whole.needed)
+
+
+def test_what_is_hidden_has_no_gradient(wall_and_room):
+    scene, near, camera, pose, between = wall_and_room
+    everywhere = jnp.full_like(between, between.max())
+
+    def brightness(opacity_logits):
+        drawn = replace(scene, opacity_logits=opacity_logits)
+        return jnp.sum(render(drawn, camera, pose, hidden_beyond=everywhere, config=CONFIG).rgb)
+
+    slope = np.asarray(jax.grad(brightness)(scene.opacity_logits))
+    assert not slope[~near].any()
+    assert slope[near].any()

@@ -138,32 +138,44 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
 
     values, still = parameters(gaussian_map.gaussians), jnp.zeros(6)
     (loss, about), found = jax.value_and_grad(loss_of, argnums=(0, 1), has_aux=True)(values, still)
-    gradients, pose_gradient = found
+    (missing, gain, seed_gain, overflow, needed), (gradients, pose_gradient) = about, found
     optimised = _adam(gaussian_map, gradients, params.config, params.rate)
-    return MapStep(optimised, loss, *about, pose_gradient)
+    return MapStep(optimised, loss, missing, gain, seed_gain, overflow, needed, pose_gradient)
 
 
 @jax.jit
 def compare_with_map(
     params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3
 ) -> MapStep:
-    """All that `map_step` finds but no step: the map comes back as it was. Arguments as of `map_step`."""
+    """All that `map_step` finds but no step: the map comes back as it was. Arguments as of `map_step`.
+
+    What the view's surface hides is not drawn, which in rooms behind rooms is most of the map.
+    """
     values = parameters(gaussian_map.gaussians)
-    loss, about = _loss(params, gaussian_map.gaussians, view, T_world_cam, values)
+    loss, about = _loss(params, gaussian_map.gaussians, view, T_world_cam, values, visible_only=True)
     return MapStep(gaussian_map, loss, *about, jnp.zeros(6))
 
 
 def _loss(
-    params: MapParams, gaussians: Gaussians, view: View, T_world_cam: jaxlie.SE3, values: Parameters
+    params: MapParams,
+    gaussians: Gaussians,
+    view: View,
+    T_world_cam: jaxlie.SE3,
+    values: Parameters,
+    *,
+    visible_only: bool = False,
 ) -> tuple[Array, _About]:
     """Loss of the map with other values of its parameters, and the fields of `MapStep` behind it."""
     rgb, depth = seen_by(view, params.camera, params.timing)
+    # A surface within the margin behind the measured one still counts as that.
+    behind = depth * (1 + 2 * params.seeding.depth_margin)
     shutter = None
     if params.timing is not None:
         shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
     config, valid = RenderConfig(pair_capacity=params.pair_capacity), jnp.asarray(view.valid)
     drawn = with_parameters(gaussians, values)
-    out = render(drawn, params.camera, T_world_cam, shutter=shutter, config=config)
+    hidden = behind if visible_only else None
+    out = render(drawn, params.camera, T_world_cam, shutter=shutter, hidden_beyond=hidden, config=config)
     lacking = uncovered(out, depth, params.seeding)
     gain = seed_gain = jnp.ones(3)
     if params.mean_gain is not None:
