@@ -389,40 +389,54 @@ def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):
 
 def test_the_larger_map_is_compiled_before_it_is_needed(seeded, config, compilations):
     mapping, camera = seeded.mapping, seeded.mapping_camera
-    assert not compile_ahead(mapping, camera, config.mapping, needed=0), "it is not three quarters full"
+    settings = replace(config.mapping, steps_per_frame=1)
+    assert not compile_ahead(mapping, camera, settings, needed=0), "it is not three quarters full"
     used = mapping.num_gaussians
     full = jax.tree.map(lambda x: x[: int(used / 0.9)], mapping.map)
     assert int(full.gaussians.valid.sum()) == used, "the used slots come first"
     mapping = replace(mapping, map=full)
-    (prepared,) = compile_ahead(mapping, camera, config.mapping, needed=0)
+    (prepared,) = compile_ahead(mapping, camera, settings, needed=0)
     prepared.result()
 
     compilations.clear()
     mapping = replace(mapping, map=grow(mapping.map))
-    mapping, _ = insert_view(mapping, mapping.views[0], camera, config.mapping)
-    mapping, _ = optimise_once(mapping, camera, config.mapping, newest_share=1.0)
+    mapping, _ = insert_view(mapping, mapping.views[0], camera, settings)
+    mapping, _ = optimise_once(mapping, camera, settings, newest_share=1.0)
     moved = mapping.keyframe_poses + np.float32(1e-3)
-    pruned = prune(mapping.map, config.mapping.prune_opacity)
+    pruned = prune(mapping.map, settings.prune_opacity)
     jax.block_until_ready((pruned, move(mapping.map, mapping.keyframe_poses, moved)))
     assert not compilations
-    assert not compile_ahead(replace(mapping, map=full), camera, config.mapping, needed=0), "it was asked for"
+    assert not compile_ahead(replace(mapping, map=full), camera, settings, needed=0), "it was asked for"
+
+
+def test_room_for_more_keyframes_is_compiled_before_it_is_needed(seeded, config, compilations):
+    poses = np.repeat(seeded.mapping.keyframe_poses[:1], 130, axis=0)
+    mapping, camera = replace(seeded.mapping, keyframe_poses=poses[:90]), seeded.mapping_camera
+    assert not compile_ahead(mapping, camera, config.mapping, needed=0), "there is room for 128"
+    mapping = replace(mapping, keyframe_poses=poses[:100])
+    (prepared,) = compile_ahead(mapping, camera, config.mapping, needed=0)
+    prepared.result()
+    compilations.clear()
+    jax.block_until_ready(move(mapping.map, poses, poses))
+    assert not compilations
 
 
 def test_more_room_for_pairs_is_compiled_before_it_is_needed(seeded, config, compilations):
     mapping, camera = seeded.mapping, seeded.mapping_camera
-    _, done = step_on_view(mapping, 0, camera, config.mapping, learn=False)
+    settings = replace(config.mapping, steps_per_frame=1)
+    _, done = step_on_view(mapping, 0, camera, settings, learn=False)
     needed = int(done.needed)
     tight = replace(mapping, pair_capacity=needed * 5 // 4)
-    assert int(step_on_view(tight, 0, camera, config.mapping, learn=False)[1].overflow) == 0
-    (prepared,) = compile_ahead(tight, camera, config.mapping, needed=needed)
+    assert int(step_on_view(tight, 0, camera, settings, learn=False)[1].overflow) == 0
+    (prepared,) = compile_ahead(tight, camera, settings, needed=needed)
     prepared.result()
 
     compilations.clear()
     roomy = replace(tight, pair_capacity=2 * tight.pair_capacity)
-    roomy, _ = insert_view(roomy, roomy.views[0], camera, config.mapping)
-    optimise_once(roomy, camera, config.mapping, newest_share=1.0)
+    roomy, _ = insert_view(roomy, roomy.views[0], camera, settings)
+    optimise_once(roomy, camera, settings, newest_share=1.0)
     assert not compilations
-    assert not compile_ahead(tight, camera, config.mapping, needed=needed), "it was asked for"
+    assert not compile_ahead(tight, camera, settings, needed=needed), "it was asked for"
 
 
 def test_a_view_that_lacks_room_for_pairs_gets_it(seeded, config):

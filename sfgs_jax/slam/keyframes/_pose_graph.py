@@ -18,7 +18,8 @@ from sfgs_jax.slam.keyframes._edges import CONSISTENT, motions_of, relative_pose
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._maps import first_keyframes
 
-_SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4)
+_SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4, step_tolerance=1e-4)
+"""Edges that agree have no cost to be a share of; a tenth of a millimetre is less than any of them knows."""
 
 _background = Background()
 

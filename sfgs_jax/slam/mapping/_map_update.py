@@ -24,7 +24,7 @@ from sfgs_jax.slam.mapping._map_step import (
 from sfgs_jax.slam.mapping._paging import is_whole, with_surface_of
 from sfgs_jax.slam.mapping._seeding import seed
 from sfgs_jax.slam.state._frame_log import FrameLog
-from sfgs_jax.slam.state._gaussian_map import empty_map, grow, move
+from sfgs_jax.slam.state._gaussian_map import empty_map, grow, keyframe_room, move
 from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._slam_state import SlamState
 from sfgs_jax.slam.state._step_info import Stages, untimed
@@ -137,8 +137,8 @@ def compile_ahead(
         needed: room for pairs that the newest view needs.
 
     Returns:
-        Done when they are compiled: those of a larger map, and of more room for pairs. None of them where
-        there is room enough, or where they have been asked for before.
+        Done when they are compiled: those of a larger map, of more room for pairs, and of more keyframes.
+        None of them where there is room enough, or where they have been asked for before.
     """
     valid = np.asarray(mapping.map.gaussians.valid)
     capacity, pairs = len(valid), mapping.pair_capacity
@@ -151,6 +151,10 @@ def compile_ahead(
         _background.once((*room, camera.shape, config), _use_room, room, mapping, camera, config)
         for room in rooms
     ]
+    poses, keyframes = mapping.keyframe_poses, keyframe_room(len(mapping.keyframe_poses))
+    if len(poses) > keyframes * 3 // 4:
+        more = np.repeat(poses[-1:], 2 * keyframes, axis=0)
+        begun.append(_background.once((capacity, 2 * keyframes), move, mapping.map, more, more))
     return [future for future in begun if future is not None]
 
 
@@ -163,8 +167,11 @@ def _use_room(room: tuple[int, int], mapping: MapState, camera: Camera, config: 
     view, poses = mapping.views[-1], mapping.keyframe_poses
     mapping = replace(mapping, map=empty, views=(), submaps=(), pair_capacity=pairs)
     mapping, _ = _with_view(mapping, view, camera, config)
-    mapping, _ = step_on_view(mapping, -1, camera, config)
-    jax.block_until_ready((prune(mapping.map, config.prune_opacity), move(mapping.map, poses, poses)))
+    # Tracing takes seconds that the tracker waits for, so only what the run will use before its end.
+    if config.steps_per_view or config.steps_per_frame:
+        mapping, _ = step_on_view(mapping, -1, camera, config)
+        mapping = replace(mapping, map=prune(mapping.map, config.prune_opacity))
+    jax.block_until_ready(move(mapping.map, poses, poses))
 
 
 def _with_view(

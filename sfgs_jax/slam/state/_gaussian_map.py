@@ -8,7 +8,7 @@ import numpy as np
 from jax.lax import Precision
 from jaxtyping import Array, Float, Int
 
-from sfgs_jax.arrays import rounded_up
+from sfgs_jax.arrays import doubled
 from sfgs_jax.geometry import se3
 from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, Gaussians
 
@@ -16,8 +16,8 @@ Parameters = dict[str, Array]
 """The optimised fields of `Gaussians` by name."""
 
 
-_KEYFRAME_BLOCK = 128
-"""Poses are padded to a multiple of this, so that a new keyframe needs no new program."""
+_LEAST_ROOM = 128
+"""Keyframes that the program of `move` has room for at first. It doubles, so that few need a new one."""
 
 
 class GaussianMap(eqx.Module):
@@ -83,9 +83,18 @@ def move(
         old: (k, 7) `T_world_cam` of the keyframes as wxyz_xyz, before.
         new: the same after.
     """
-    room = rounded_up(len(old), _KEYFRAME_BLOCK) - len(old)
+    room = keyframe_room(len(old)) - len(old)
     padded = (np.pad(poses, ((0, room), (0, 0)), mode="edge") for poses in (old, new))
     return _move(gaussian_map, *padded)
+
+
+def keyframe_room(count: int) -> int:
+    """Keyframes that the program of `move` has room for; one program for each value.
+
+    Args:
+        count: of keyframes that move.
+    """
+    return doubled(_LEAST_ROOM, count)
 
 
 @jax.jit
