@@ -32,8 +32,8 @@ def with_adjustment_begun(
 ) -> KeyframeGraph:
     """The graph with an adjustment started; it does not wait for the results.
 
-    To bend all keyframes takes longer, the more of them there are: it gets the time of a window's adjustment
-    for every two windows of them.
+    To bend all keyframes takes longer, the more of them there are. For every two windows of them it gets the
+    time of one window's adjustment.
 
     Args:
         params: parameters of tracking.
