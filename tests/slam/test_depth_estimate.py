@@ -21,7 +21,7 @@ PRIOR = depth_prior((2, 3), 0.01, 0.01, 0.01)
 def make_recording(seed):
     """A camera whose depth has bands of 3 cm at 2 m, and is seen from 1 cm and 0.6 degrees beside."""
     faults = KinectFaults(depth_bands=0.03, extrinsic_shift=0.01, extrinsic_turn=0.01)
-    return SyntheticRecording(num_frames=50, width=160, height=120, seed=seed, faults=faults)
+    return SyntheticRecording(num_frames=50, width=192, height=144, seed=seed, faults=faults)
 
 
 @pytest.fixture(scope="module")
