@@ -167,14 +167,13 @@ def _loss(
 ) -> tuple[Array, _About]:
     """Loss of the map with other values of its parameters, and the fields of `MapStep` behind it."""
     rgb, depth = seen_by(view, params.camera, params.timing)
-    # A surface within the margin behind the measured one still counts as that.
-    behind = depth * (1 + 2 * params.seeding.depth_margin)
     shutter = None
     if params.timing is not None:
         shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
     config, valid = RenderConfig(pair_capacity=params.pair_capacity), jnp.asarray(view.valid)
     drawn = with_parameters(gaussians, values)
-    hidden = behind if visible_only else None
+    # A surface within the margin behind the measured one still counts as that.
+    hidden = depth * (1 + 2 * params.seeding.depth_margin) if visible_only else None
     out = render(drawn, params.camera, T_world_cam, shutter=shutter, hidden_beyond=hidden, config=config)
     lacking = uncovered(out, depth, params.seeding)
     gain = seed_gain = jnp.ones(3)
