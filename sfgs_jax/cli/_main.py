@@ -1,10 +1,8 @@
 """Entry point: chooses the command and turns errors into one sentence and an exit status."""
 
 import io
-import signal
 import sys
 from collections.abc import Callable, Mapping
-from types import FrameType
 from typing import NamedTuple
 
 from sfgs_jax import __version__
@@ -14,6 +12,7 @@ from sfgs_jax.cli._check import check_command
 from sfgs_jax.cli._doctor import doctor_command
 from sfgs_jax.cli._evaluate import eval_command
 from sfgs_jax.cli._export import export_command
+from sfgs_jax.cli._interruption import interruptible
 from sfgs_jax.cli._merge import merge_command
 from sfgs_jax.cli._render import render_command
 from sfgs_jax.cli._run import run_command
@@ -67,10 +66,10 @@ def main(arguments: list[str] | None = None, *, commands: Mapping[str, Command] 
     if name not in commands:
         print(f"sfgs-jax: there is no command {name!r}; choose from {', '.join(commands)}.", file=sys.stderr)
         return EXIT_INPUT
-    # A polite kill saves the work so far, as Ctrl-C does.
-    signal.signal(signal.SIGTERM, _terminate)
     try:
-        return commands[name].run(rest)
+        # A polite kill saves the work so far, as Ctrl-C does.
+        with interruptible():
+            return commands[name].run(rest)
     except InputError as error:
         print(f"sfgs-jax: {error}", file=sys.stderr)
         return EXIT_INPUT
@@ -95,7 +94,3 @@ def _usage(commands: Mapping[str, Command]) -> str:
             "Each command explains itself with --help. Try: sfgs-jax run synthetic",
         ]
     )
-
-
-def _terminate(signum: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt

@@ -91,7 +91,7 @@ def test_an_interrupted_batch_stops_the_runs_at_the_workers(scheduler, tmp_path,
     assert "Interrupted; the same command goes on." in capsys.readouterr().err
     # The second one was not begun.
     (row,) = read_record(out / "batch.csv").values()
-    assert (row.name, row.state) == (name, "interrupted")
+    assert (row.name, row.state) == (name, "interrupted"), row.message
 
 
 def test_a_worker_without_the_batchs_files_says_so(words, scheduler, tmp_path, monkeypatch, capsys):
