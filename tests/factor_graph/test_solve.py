@@ -358,25 +358,28 @@ def test_implicit_gradients_are_those_of_finite_differences_and_of_unrolling(flo
     exact = SolverConfig("gauss_newton", cost_tolerance=0.0, step_tolerance=1e-12, max_iterations=40)
     unrolled = SolverConfig(cost_tolerance=0.0, step_tolerance=0.0, max_iterations=12, unrolled=True)
     arguments = jnp.zeros((2, 6)), jnp.asarray([3.0, 5.0])
-    solved = quickly(jax.value_and_grad(lambda *a: outcome(solve_implicit(graph(*a), start, exact)), (0, 1)))
-    _, implicit = solved(*arguments)
-    forward = quickly(
-        lambda a, b, da, db: jax.jvp(
-            lambda *a: outcome(solve_implicit(graph(*a), start, exact)), (a, b), (da, db)
-        )[1]
+
+    @quickly
+    def solved(arguments, directions):
+        """The outcome, its rates along directions in forward mode, and its gradient in reverse mode."""
+        value, rate = jax.linearize(lambda *a: outcome(solve_implicit(graph(*a), start, exact)), *arguments)
+        (gradient,) = jax.linear_transpose(lambda a: rate(*a), arguments)(jnp.ones_like(value))
+        return value, jax.vmap(rate)(*directions), gradient
+
+    # The first moves the one argument, the second the other.
+    directions = tuple(
+        jnp.asarray(rng.normal(size=(2, *a.shape))).at[1 - index].set(0) for index, a in enumerate(arguments)
     )
+    _, forward, implicit = solved(arguments, directions)
     unroll = quickly(jax.grad(lambda *a: outcome(solve(graph(*a), start, unrolled).values), (0, 1)))
     through = unroll(*arguments)
-    for index, argument in enumerate(arguments):
-        direction = jnp.asarray(rng.normal(size=argument.shape))
+    for index in range(2):
         ends = []
         for sign in (1e-5, -1e-5):
-            shifted = list(arguments)
-            shifted[index] = argument + sign * direction
-            ends.append(solved(*shifted)[0])
+            shifted = tuple(a + sign * d[index] for a, d in zip(arguments, directions, strict=True))
+            ends.append(solved(shifted, directions)[0])
         expected = (ends[0] - ends[1]) / 2e-5
-        np.testing.assert_allclose(jnp.vdot(implicit[index], direction), expected, rtol=1e-6)
-        still = [jnp.zeros_like(a) for a in arguments]
-        still[index] = direction
-        np.testing.assert_allclose(forward(*arguments, *still), expected, rtol=1e-6)
-        np.testing.assert_allclose(jnp.vdot(through[index], direction), expected, rtol=1e-3)
+        moved = directions[index][index]
+        np.testing.assert_allclose(jnp.vdot(implicit[index], moved), expected, rtol=1e-6)
+        np.testing.assert_allclose(forward[index], expected, rtol=1e-6)
+        np.testing.assert_allclose(jnp.vdot(through[index], moved), expected, rtol=1e-3)

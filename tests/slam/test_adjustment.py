@@ -17,6 +17,7 @@ from sfgs_jax.slam.keyframes import (
     advance_graph,
     edge_of,
     positions,
+    settled,
     with_adjustment_begun,
     with_adjustment_taken,
     with_frame_passed,
@@ -200,6 +201,11 @@ def test_keyframes_that_came_meanwhile_move_with_their_reference(run):
         np.testing.assert_allclose(
             np.linalg.inv(now[2]) @ now[number], np.linalg.inv(before[2]) @ before[number], atol=1e-5
         )
+    # The first keyframe of another map stays, and what was tracked in it.
+    keyframes = list(graph.keyframes)
+    keyframes[3] = replace(keyframes[3], reference=3)
+    after = with_adjustment_taken(replace(graph, keyframes=tuple(keyframes)))
+    np.testing.assert_allclose(after.poses[3:], graph.poses[3:], atol=1e-6)
 
 
 def test_a_run_saved_during_an_adjustment_goes_on_to_the_bit(room, frames, config, tmp_path):
@@ -238,6 +244,19 @@ def test_finish_leaves_nothing_waiting_and_more_frames_may_follow(run, room, fra
     np.testing.assert_allclose(state.trajectory.poses[:, :3, 3], wanted[:, :3, 3], atol=0.01)
     _, info = slam.step(state, frames[11])
     assert info.tracked
+
+
+def test_settled_windows_would_not_move_their_keyframes_again(run, config):
+    graph = replace(run.graph, adjustment=None, pending=())
+    # The windows of three keyframes have two in common with the next.
+    few = replace(config.graph, window=3)
+    moved = graph.poses.copy()
+    moved[2:, 4:] += 0.01
+    after = settled(run.params, replace(graph, poses=moved), few)
+    assert np.abs(after.poses - moved).max() > 5e-3
+    for centre in range(1, len(moved)):
+        again = with_adjustment_taken(with_adjustment_begun(run.params, after, few, around=centre))
+        np.testing.assert_allclose(again.poses, after.poses, atol=3e-4)
 
 
 def factor(inputs, kind):

@@ -18,7 +18,6 @@ from sfgs_jax.slam.keyframes._edges import prior_noise as prior_noise
 from sfgs_jax.slam.keyframes._edges import relative_poses as relative_poses
 from sfgs_jax.slam.keyframes._graph_step import advance_graph as advance_graph
 from sfgs_jax.slam.keyframes._graph_step import register_pair as register_pair
-from sfgs_jax.slam.keyframes._graph_step import settled as settled
 from sfgs_jax.slam.keyframes._insertion import Reference as Reference
 from sfgs_jax.slam.keyframes._insertion import first_keyframe as first_keyframe
 from sfgs_jax.slam.keyframes._insertion import insert_keyframe as insert_keyframe
@@ -43,3 +42,4 @@ from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew as rectif
 from sfgs_jax.slam.keyframes._rectification_anew import with_first_motion as with_first_motion
 from sfgs_jax.slam.keyframes._revisit import return_to_keyframe as return_to_keyframe
 from sfgs_jax.slam.keyframes._revisit import revisited as revisited
+from sfgs_jax.slam.keyframes._settling import settled as settled

@@ -164,6 +164,16 @@ def window_of(
     )
 
 
+def has_landmarks(params: TrackerParams, config: GraphConfig) -> bool:
+    """Whether keyframes are adjusted with landmarks, and not by registrations alone.
+
+    Args:
+        params: parameters of tracking.
+        config: settings.
+    """
+    return config.window > 1 and params.config.features.kind != "none"
+
+
 def _capacities(config: GraphConfig) -> Capacities:
     return Capacities.for_window(landmarks=config.max_landmarks, poses=config.window)
 

@@ -116,9 +116,13 @@ def _with_later_ones(
     keyframes: Sequence[Keyframe], before: Float[np.ndarray, "n 7"], moved: Float[np.ndarray, "m 7"]
 ) -> Float[np.ndarray, "n 7"]:
     """Poses of keyframes of which the first m have been moved; the others move with their references."""
-    poses = np.concatenate([moved, before[len(moved) :]])
-    for number in range(len(moved), len(before)):
-        reference = keyframes[number].reference
-        at, now, moving = se3.matrices_of(np.stack([before[reference], poses[reference], before[number]]))
-        poses[number] = se3.parameters_of((now @ np.linalg.inv(at) @ moving)[None])[0]
+    first = len(moved)
+    poses = np.concatenate([moved, before[first:]])
+    # A reference may itself have come later, and moved with its own. The first keyframe of a map has none.
+    moves_with = np.arange(len(before))
+    for number in range(first, len(before)):
+        moves_with[number] = moves_with[keyframes[number].reference]
+    moves_with = moves_with[first:]
+    now, at, later = map(se3.matrices_of, (poses[moves_with], before[moves_with], before[first:]))
+    poses[first:] = se3.parameters_of(now @ np.linalg.inv(at) @ later)
     return poses

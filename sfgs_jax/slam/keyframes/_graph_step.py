@@ -10,11 +10,8 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import features_in_use
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_edge, supports_loop
-from sfgs_jax.slam.keyframes._deferred_adjustment import (
-    with_adjustment_begun,
-    with_adjustment_taken,
-    with_frame_passed,
-)
+from sfgs_jax.slam.keyframes._adjustment import has_landmarks
+from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_begun, with_frame_passed
 from sfgs_jax.slam.keyframes._depth_estimate import with_new_depth_parameters, with_registration
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
@@ -26,11 +23,6 @@ from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._maps import maps_of
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
-
-_MOST_ADJUSTMENTS = 10
-"""Adjustments at the end of a run, at most."""
-_STILL = 2e-4
-"""Change of a pose, metres or of its quaternion, below which it counts as still."""
 
 
 def advance_graph(
@@ -71,41 +63,13 @@ def advance_graph(
     return graph, closed
 
 
-def settled(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
-    """The graph adjusted until that changes little.
-
-    Args:
-        params: parameters of tracking.
-        graph: before.
-        config: settings.
-    """
-    if not config.enabled or not _has_landmarks(params, config):
-        return graph
-    graph = with_adjustment_taken(graph)
-    # Windows that overlap by half reach all keyframes, the newest last.
-    centres = range(len(graph.keyframes) - 1, 0, -max(1, config.window // 2))
-    if len(graph.keyframes) <= config.window:
-        centres = centres[:1]
-    for _ in range(_MOST_ADJUSTMENTS):
-        before = graph.poses
-        for centre in reversed(centres):
-            graph = with_adjustment_taken(with_adjustment_begun(params, graph, config, around=centre))
-        if np.abs(graph.poses - before).max(initial=0) < _STILL:
-            break
-    return graph
-
-
-def _has_landmarks(params: TrackerParams, config: GraphConfig) -> bool:
-    return config.window > 1 and params.config.features.kind != "none"
-
-
 def _optimised(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
     """The graph with its keyframes where registrations and landmarks want them.
 
     With landmarks it is only begun. That moves the newest keyframes; all others are to move too where a place
     is seen again elsewhere than where the graph has it.
     """
-    if not _has_landmarks(params, config):
+    if not has_landmarks(params, config):
         return replace(optimise_poses(graph, config), num_absorbed=len(graph.edges))
     new = graph.edges[graph.num_absorbed :]
     off = len(graph.keyframes) > config.window and is_contradicted(graph)
