@@ -5,6 +5,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO_SOURCE ?= synthetic
 DEMO_OUT ?= demo_out
+DEMO_OPTIONS ?=
 PYTEST_WORKERS ?= 2
 UV ?= uv
 # Tests run each of their many programs a few times: programs that compile fast suit them better than fast ones.
@@ -19,7 +20,7 @@ TEST_CACHE = JAX_COMPILATION_CACHE_DIR="$${JAX_COMPILATION_CACHE_DIR:-$(abspath 
 .PHONY: demo test lint types imports docs bench lock audit clean
 
 demo: $(VENV)/.installed
-	$(BIN)/sfgs-jax run $(DEMO_SOURCE) --out $(DEMO_OUT) --overwrite
+	$(BIN)/sfgs-jax run $(DEMO_SOURCE) --out $(DEMO_OUT) --overwrite $(DEMO_OPTIONS)
 
 test: $(VENV)/.installed $(if $(filter true,$(CI)),$(VENV)/.installed-browser)
 	XLA_FLAGS="$$XLA_FLAGS $(TEST_XLA_FLAGS)" $(TEST_CACHE) $(BIN)/pytest -n $(PYTEST_WORKERS)

@@ -1,5 +1,6 @@
 """Warm-up: compile the programs of a run before the first frame waits for them."""
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import equinox as eqx
@@ -26,14 +27,15 @@ from sfgs_jax.slam.keyframes import (
     accept_consistent_loops,
     advance_graph,
     bend,
+    first_keyframe,
     insert_keyframe,
     rectified_anew,
     return_to_keyframe,
     with_adjustment_taken,
 )
-from sfgs_jax.slam.mapping import prune, refine_once
-from sfgs_jax.slam.state import SlamState, move, reference_at, with_graph_poses
-from sfgs_jax.slam.step import step
+from sfgs_jax.slam.mapping import map_frame, prune, refine_once, view_of
+from sfgs_jax.slam.state import Registration, SlamState, mapping_factor, move, reference_at, with_graph_poses
+from sfgs_jax.slam.step import follow
 
 _DEPTH = 2.0
 """Depth of the made-up frames, metres."""
@@ -45,8 +47,9 @@ _ANOTHER_OFFSET = 1e-4
 def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
     """Compile the programs of a run, those of lost frames, loops and pruning among them.
 
-    Two made-up frames run through the steps. Another call for the same image size and settings takes as long
-    as a few frames.
+    A made-up frame is tracked. The graph, the search for lost frames and the map compile beside it, for the
+    reference of an empty tracker, whose shapes are those of a real one. Another call for the same image size
+    and settings takes as long as a few frames.
 
     Args:
         camera: intrinsics of the frames.
@@ -54,24 +57,63 @@ def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
     """
     state = init(camera, config)
     rgb = np.random.default_rng(0).random((*camera.shape, 3), np.float32)
-    frame = Frame(rgb, np.full(camera.shape, _DEPTH, np.float32), 0.0)
+    frame, empty = Frame(rgb, np.full(camera.shape, _DEPTH, np.float32), 0.0), _with_empty_keyframe(state)
+    with ThreadPoolExecutor(thread_name_prefix="sfgs_jax warm-up") as threads:
+        # Two threads that need one program at once would both compile it.
+        registered = threads.submit(_registered, empty)
+        beside = [
+            threads.submit(_compile_graph, empty, registered),
+            threads.submit(_compile_lost, empty, registered),
+            threads.submit(_compile_map, empty, frame),
+        ]
+        _compile_tracking(state, frame, registered)
+    for part in beside:
+        part.result()
+
+
+def _with_empty_keyframe(state: SlamState) -> SlamState:
+    """The state with a keyframe that shows nothing."""
+    features, twist = reference_at(state.tracker, np.asarray(0, np.int32)), np.ones(6, np.float32)
+    new = Reference(features, twist, np.zeros(3, np.float32), 0)
+    graph = first_keyframe(state.params, state.graph, new, se3.identity(), state.config.graph)
+    return replace(state, graph=graph)
+
+
+def _registered(state: SlamState) -> Registration:
+    """The registration of a keyframe to itself."""
+    features = state.graph.keyframes[0].features
+    return register(state.params, features, features, se3.identity())
+
+
+def _compile_tracking(state: SlamState, frame: Frame, registered: Future[Registration]) -> None:
+    """A frame and what follows from it, and the return to a keyframe from before."""
     for seconds in (0.0, 1.0):
-        state, _ = step(state, replace(frame, timestamp=seconds))
-    _compile_graph(state)
-    _compile_return(state, frame)
-    _compile_lost(state)
-    refine_once(state.mapping, state.mapping_camera, state.config.mapping, number=0, done=0.0, seed=0)
-    move(state.mapping.map, state.graph.poses[:1], state.graph.poses[:1])
-    jax.block_until_ready(prune(state.mapping.map, state.config.mapping.prune_opacity))
+        state, _, _ = follow(state, replace(frame, timestamp=seconds))
+    graph, config = state.graph, state.config
+    found = find_frame(state.params, state.tracker, frame, 1.0, graph, config.graph)
+    again = registered.result()
+    needs_keyframe(again, config.tracking)
+    features, slot = graph.keyframes[0].features, np.asarray(0, np.int32)
+    return_to_keyframe(found.tracker, found.info, features, graph.poses[0], slot, again)
 
 
-def _compile_graph(state: SlamState) -> None:
+def _compile_map(state: SlamState, frame: Frame) -> None:
+    """A view in the map, the map's motion with its keyframes, and its refinement."""
+    config, camera = state.config.mapping, state.mapping_camera
+    factor = mapping_factor(state.camera, config)
+    view = view_of(frame, factor, 0, se3.identity(), 0, np.zeros(6, np.float32))
+    mapping, _ = map_frame(state.mapping, state, view)
+    refine_once(mapping, camera, config, number=0, done=0.0, seed=0)
+    move(mapping.map, state.graph.poses, state.graph.poses)
+    jax.block_until_ready(prune(mapping.map, config.prune_opacity))
+
+
+def _compile_graph(state: SlamState, registered: Future[Registration]) -> None:
     """Insertion of a keyframe, its registration, adjustment, loop closure, another correction of depth."""
-    config = state.config.graph
-    features, twist = state.graph.keyframes[0].features, np.ones(6, np.float32)
-    times = np.zeros(3, np.float32)
-    found = register(state.params, features, features, se3.identity())
-    graph = insert_keyframe(state.params, state.graph, Reference(features, twist, times, 1), found, 0, config)
+    config, found = state.config.graph, registered.result()
+    keyframe, times = state.graph.keyframes[0], np.zeros(3, np.float32)
+    new = Reference(keyframe.features, keyframe.twist, times, 1)
+    graph = insert_keyframe(state.params, state.graph, new, found, 0, config)
     graph, _ = advance_graph(state.params, replace(graph, pending=((0, 1),)), config, grown=True)
     graph = with_adjustment_taken(graph)
     if graph.edges:
@@ -86,23 +128,12 @@ def _compile_graph(state: SlamState) -> None:
         rectified_anew(state.params, graph, times + 1, config)
 
 
-def _compile_lost(state: SlamState) -> None:
+def _compile_lost(state: SlamState, registered: Future[Registration]) -> None:
     """Search by the surface, and what follows when a frame is found again."""
     features, pose = state.graph.keyframes[0].features, state.graph.poses[0]
     # Around the frame before, and around the reference where that frame is the reference.
     for has_last in (True, False):
         tracker = eqx.tree_at(lambda t: t.has_last, state.tracker, jnp.asarray(has_last))
         search_by_surface(state.params, tracker, features)
-    found = register(state.params, features, features, se3.identity())
-    place(state.params, state.tracker, features, Localised(0, features, pose, found, False, True))
-
-
-def _compile_return(state: SlamState, frame: Frame) -> None:
-    """The return to a keyframe from before."""
-    graph = state.graph
-    found = find_frame(state.params, state.tracker, frame, 1.0, graph, state.config.graph)
-    tracker, info = found.tracker, found.info
-    new, features = reference_at(tracker, tracker.current), graph.keyframes[0].features
-    again = register(state.params, new, features, se3.identity())
-    needs_keyframe(again, state.config.tracking)
-    return_to_keyframe(tracker, info, features, graph.poses[0], np.asarray(0, np.int32), again)
+    localised = Localised(0, features, pose, registered.result(), False, True)
+    place(state.params, state.tracker, features, localised)
