@@ -8,7 +8,7 @@ import pytest
 
 from sfgs_jax import slam
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.config import PagingConfig
+from sfgs_jax.slam.config import MappingConfig, PagingConfig
 from sfgs_jax.slam.mapping import follow_keyframes, insert_view, optimise_once, refine_once, view_of
 from sfgs_jax.slam.run import remove_other_images, spill_views
 from sfgs_jax.splatting import GAUSSIAN_PARAMETERS
@@ -42,7 +42,7 @@ def paged(places):
     state, near, far = places
     config = state.config.mapping
     first, _ = insert_view(state.mapping, near, room_camera(state), config)
-    assert config.paging.most_gaussians * 7 / 8 < 2 * first.num_gaussians
+    assert config.gaussians_in_memory * 7 / 8 < 2 * first.num_gaussians
     config = replace(config, paging=PagingConfig(memory_mb=1.1 * first.num_gaussians * 177 / 2**20))
     second, _ = insert_view(first, far, room_camera(state), config)
     return config, first, second
@@ -91,6 +91,14 @@ def test_a_place_that_was_moved_while_it_was_away_comes_back_there(places, paged
     np.testing.assert_allclose(rows(after.whole), rows(there.map), atol=1e-4)
     again, _ = insert_view(after, near, room_camera(state), config)
     assert {submap.keyframe for submap in again.submaps} == {FAR}
+
+
+def test_the_memory_holds_the_slots_of_a_map_that_has_doubled_a_few_times():
+    config = MappingConfig(capacity=1000, max_capacity=8000)
+    assert PagingConfig(memory_mb=1.0).most_gaussians == 2**20 // 177
+    for memory_mb, most in ((0.1, 592), (0.2, 1000), (0.5, 2000), (1.0, 4000)):
+        sized = replace(config, paging=PagingConfig(memory_mb=memory_mb))
+        assert sized.gaussians_in_memory == most
 
 
 def test_a_map_with_room_keeps_all(places, paged):

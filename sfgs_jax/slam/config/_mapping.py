@@ -99,7 +99,7 @@ class PagingConfig:
     memory_mb: float = 48.0
     """Memory for Gaussians and the moments of their optimiser, MiB. Before it is full, Gaussians of far
     places leave the map. They come back with the first view of their surface."""
-    reach: float = 8.0
+    reach: float = 4.0
     """Distance from the camera within which Gaussians never leave, metres."""
     place_keyframes: int = 16
     """Keyframes in a row whose Gaussians leave together."""
@@ -164,6 +164,14 @@ class MappingConfig:
     """New Gaussians."""
     optimisation: OptimisationConfig = field(default_factory=OptimisationConfig)
     """Loss and learning rates."""
+
+    @property
+    def gaussians_in_memory(self) -> int:
+        """Gaussians of the largest map that `paging.memory_mb` has room for: its slots take the memory."""
+        slots, most = self.capacity, self.paging.most_gaussians
+        while 2 * slots <= most:
+            slots *= 2
+        return min(slots, most)
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""

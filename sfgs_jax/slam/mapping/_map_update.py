@@ -143,7 +143,9 @@ def compile_ahead(
     valid = np.asarray(mapping.map.gaussians.valid)
     capacity, pairs = len(valid), mapping.pair_capacity
     rooms = []
-    if 2 * capacity <= config.max_capacity and valid.sum() > capacity * 3 // 4:
+    # Beyond what the memory has room for, far places leave instead.
+    most = min(config.max_capacity, config.gaussians_in_memory)
+    if 2 * capacity <= most and valid.sum() > capacity * 3 // 4:
         rooms.append((2 * capacity, pairs))
     if needed > pairs * 3 // 4:
         rooms.append((capacity, 2 * pairs))
@@ -177,7 +179,7 @@ def _use_room(room: tuple[int, int], mapping: MapState, camera: Camera, config: 
 def _with_view(
     mapping: MapState, view: View, camera: Camera, config: MappingConfig
 ) -> tuple[MapState, MapStep]:
-    mapping = with_surface_of(mapping, view, camera, config.paging)
+    mapping = with_surface_of(mapping, view, camera, config)
     mapping = replace(mapping, views=(*mapping.views, view))
     mapping, done = step_on_view(mapping, -1, camera, config, learn=config.steps_per_view > 0)
     view = replace(view, gain=np.asarray(done.seed_gain))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.slam.config import PagingConfig
+from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._submaps import Submap, submap_of, with_submaps, without
 
@@ -23,7 +23,7 @@ _SAMPLES = 16
 """Pixels of a view's longer side that are looked up."""
 
 
-def with_surface_of(mapping: MapState, view: View, camera: Camera, config: PagingConfig) -> MapState:
+def with_surface_of(mapping: MapState, view: View, camera: Camera, config: MappingConfig) -> MapState:
     """The map with all Gaussians of the surface that a view shows, without far ones if it is full.
 
     Args:
@@ -91,23 +91,23 @@ def _distances(
 def _without_far(
     mapping: MapState,
     position: Float[np.ndarray, "3"],
-    config: PagingConfig,
+    config: MappingConfig,
     coming: int,
     submaps: tuple[Submap, ...],
 ) -> MapState:
     """The map without its farthest places if it would be full, and these as submaps beside those given."""
     mapping = replace(mapping, submaps=submaps)
     count = int(np.asarray(mapping.map.gaussians.valid).sum()) + coming
-    if count <= _FULL * config.most_gaussians:
+    if count <= _FULL * config.gaussians_in_memory:
         return mapping
     host = jax.tree.map(np.asarray, mapping.map)
-    valid, places = host.gaussians.valid, host.keyframes // config.place_keyframes
+    valid, places = host.gaussians.valid, host.keyframes // config.paging.place_keyframes
     away = np.full(places.max(initial=0) + 1, np.inf, np.float32)
     distances = np.linalg.norm(host.gaussians.means[valid] - position.astype(np.float32), axis=1)
     np.minimum.at(away, places[valid], distances)
     leaving, gone = [], np.zeros_like(valid)
     for place in np.argsort(-np.where(np.isfinite(away), away, -1), kind="stable"):
-        if not config.reach <= away[place] < np.inf or count <= _KEPT * config.most_gaussians:
+        if not config.paging.reach <= away[place] < np.inf or count <= _KEPT * config.gaussians_in_memory:
             break
         there = valid & (places == place)
         number = mapping.num_submaps + len(leaving)

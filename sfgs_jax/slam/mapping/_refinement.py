@@ -37,7 +37,7 @@ def refine_once(
     order = np.random.default_rng([seed, epoch]).permutation(len(mapping.views))
     if mapping.num_submaps:
         order = _place_by_place(mapping, order)
-        mapping = with_surface_of(mapping, mapping.views[order[place]], camera, config.paging)
+        mapping = with_surface_of(mapping, mapping.views[order[place]], camera, config)
     mapping, stepped = step_on_view(
         mapping,
         int(order[place]),

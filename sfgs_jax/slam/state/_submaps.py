@@ -4,11 +4,12 @@ Each Gaussian is held in the camera of its keyframe, so that it need not be touc
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from sfgs_jax.arrays import doubled, pytree
 from sfgs_jax.geometry import se3
@@ -38,19 +39,14 @@ class Submap:
 
 
 def without(gaussian_map: GaussianMap, chosen: Bool[np.ndarray, " n"]) -> GaussianMap:
-    """The map on the device with the slots of some Gaussians free.
+    """The map with the slots of some Gaussians free. What they hold stays there: it is finite.
 
     Args:
         gaussian_map: before.
         chosen: (n,) slots to be free.
     """
-    free = empty_map(1)
-    cleared = jax.tree.map(
-        lambda used, blank: np.where(chosen.reshape(-1, *(1,) * (used.ndim - 1)), np.asarray(blank), used),
-        jax.tree.map(np.asarray, gaussian_map),
-        free,
-    )
-    return jax.device_put(cleared)
+    valid = np.asarray(gaussian_map.gaussians.valid) & ~chosen
+    return eqx.tree_at(lambda m: m.gaussians.valid, gaussian_map, jax.device_put(valid))
 
 
 def submap_of(
@@ -67,12 +63,13 @@ def submap_of(
         poses: (k, 7) `T_world_cam` of the keyframes that it agrees with, as wxyz_xyz.
         number: of the submap.
     """
-    content = jax.tree.map(lambda rows: rows[chosen], gaussian_map)
+    slots = np.flatnonzero(chosen)
+    content = jax.tree.map(lambda rows: rows[slots], gaussian_map)
     keyframe = int(content.keyframes[0])
-    T = np.linalg.inv(se3.matrices_of(poses))
-    means = content.gaussians.means @ T[keyframe, :3, :3].T + T[keyframe, :3, 3]
+    T_camera_world = np.linalg.inv(se3.matrices_of(poses[keyframe : keyframe + 1]))[0]
+    means = content.gaussians.means @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
     box = np.stack([means.min(axis=0), means.max(axis=0)]).astype(np.float32)
-    return Submap(_moved(content, T), number, keyframe, box)
+    return Submap(_moved(content, poses, to_world=False), number, keyframe, box)
 
 
 def with_submaps(
@@ -87,34 +84,32 @@ def with_submaps(
     """
     if not submaps:
         return gaussian_map
-    old = jax.tree.map(np.asarray, gaussian_map)
-    capacity, used = len(old.updates), int(old.gaussians.valid.sum())
+    used, capacity = int(np.asarray(gaussian_map.gaussians.valid).sum()), len(gaussian_map.updates)
     room = doubled(capacity, used + sum(len(submap) for submap in submaps))
-    blank = jax.tree.map(np.array, empty_map(room))
-
-    def widened(wide: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        wide[:capacity] = rows
-        return wide
-
-    new = jax.tree.map(widened, blank, old)
-    free, start, T = np.flatnonzero(~new.gaussians.valid), 0, se3.matrices_of(poses)
+    new = jax.tree.map(np.array, gaussian_map if room == capacity else empty_map(room))
+    if room > capacity:
+        jax.tree.map(partial(_put, slice(capacity)), new, gaussian_map)
+    free, start = np.flatnonzero(~new.gaussians.valid), 0
     for submap in submaps:
         slots = free[start : start + len(submap)]
         start += len(submap)
-
-        def put(rows: np.ndarray, own: np.ndarray, slots: np.ndarray = slots) -> None:
-            rows[slots] = own
-
-        jax.tree.map(put, new, _moved(submap.content, T))
+        jax.tree.map(partial(_put, slots), new, _moved(submap.content, poses, to_world=True))
     return jax.device_put(new)
 
 
-def _moved(content: GaussianMap, T: Float[np.ndarray, "k 4 4"]) -> GaussianMap:
-    """Gaussians moved by the motion of their keyframe, on the host."""
+def _put(at: slice | Int[np.ndarray, " m"], into: np.ndarray, rows: np.ndarray) -> None:
+    into[at] = rows
+
+
+def _moved(content: GaussianMap, poses: Float[np.ndarray, "k 7"], *, to_world: bool) -> GaussianMap:
+    """Gaussians from the cameras of their keyframes to the world or back, on the host."""
     # Not by `se3.quaternion_product`: on the device, each size of a submap would be one more program.
-    own, gaussians = T[content.keyframes], content.gaussians
+    keyframes, places = np.unique(content.keyframes, return_inverse=True)
+    T = se3.matrices_of(poses[keyframes])
+    T = T if to_world else np.linalg.inv(T)
+    own, gaussians = T[places], content.gaussians
     means = np.einsum("nij,nj->ni", own[:, :3, :3], gaussians.means) + own[:, :3, 3]
-    a = se3.parameters_of(T)[content.keyframes, :4]
+    a = se3.parameters_of(T)[places, :4]
     b = np.asarray(gaussians.quaternions, np.float64)
     scalar = a[:, :1] * b[:, :1] - np.sum(a[:, 1:] * b[:, 1:], axis=1, keepdims=True)
     vector = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
