@@ -15,8 +15,8 @@ _AGAIN_S = 0.05
 def interruptible() -> Iterator[None]:
     """Raise KeyboardInterrupt in the main thread for SIGTERM too, until it gets through.
 
-    Python prints and forgets an exception that is raised in a callback of its own, and JAX has one that runs
-    with each collection of garbage. An interruption that meets one is sent again.
+    Python prints and forgets an exception that one of its callbacks raises. JAX has a callback that runs with
+    each collection of garbage. An interruption that meets one is sent again.
     """
     unraisable = sys.unraisablehook
 

@@ -21,8 +21,8 @@ _STILL = 2e-4
 def settled(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
     """The graph adjusted until that changes little.
 
-    A window is adjusted again only where its keyframes have moved against each other, by its own adjustment
-    or by one that has keyframes in common with it.
+    A window is adjusted again only where its keyframes have moved against each other. Its own adjustment
+    moves them, and that of a window that overlaps.
 
     Args:
         params: parameters of tracking.

@@ -47,9 +47,9 @@ _ANOTHER_OFFSET = 1e-4
 def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
     """Compile the programs of a run, those of lost frames, loops and pruning among them.
 
-    A made-up frame is tracked. The graph, the search for lost frames and the map compile beside it, for the
-    reference of an empty tracker, whose shapes are those of a real one. Another call for the same image size
-    and settings takes as long as a few frames.
+    A made-up frame is tracked. The programs of the graph, of the search for lost frames and of the map
+    compile beside it. They are called with the empty reference of a new tracker, for only shapes count.
+    Another call for the same image size and settings takes as long as a few frames.
 
     Args:
         camera: intrinsics of the frames.

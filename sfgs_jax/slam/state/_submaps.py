@@ -39,7 +39,7 @@ class Submap:
 
 
 def without(gaussian_map: GaussianMap, chosen: Bool[np.ndarray, " n"]) -> GaussianMap:
-    """The map with the slots of some Gaussians free. What they hold stays there: it is finite.
+    """The map with the slots of some Gaussians free. Their values stay, for all of them are finite.
 
     Args:
         gaussian_map: before.
