@@ -247,12 +247,12 @@ def test_finish_leaves_nothing_waiting_and_more_frames_may_follow(run, room, fra
 
 
 def test_settled_windows_would_not_move_their_keyframes_again(run, config):
-    graph = replace(run.graph, adjustment=None, pending=())
-    # The windows of three keyframes have two in common with the next.
-    few = replace(config.graph, window=3)
-    moved = graph.poses.copy()
-    moved[2:, 4:] += 0.01
-    after = settled(run.params, replace(graph, poses=moved), few)
+    """Five keyframes in windows of four, the last of them off by a centimetre."""
+    few = replace(config.graph, window=4)
+    moved = run.graph.poses.copy()
+    moved[-1, 4:] += 0.01
+    graph = replace(run.graph, adjustment=None, pending=(), poses=moved)
+    after = settled(run.params, graph, few)
     assert np.abs(after.poses - moved).max() > 5e-3
     for centre in range(1, len(moved)):
         again = with_adjustment_taken(with_adjustment_begun(run.params, after, few, around=centre))
