@@ -83,12 +83,16 @@ class OptimisationConfig:
     estimate_exposure: bool = True
     """Estimate a gain of each colour channel for each view. Then the map need not take on the camera's
     automatic exposure and white balance."""
+    momentum: float = 0.2
+    """Decay of Adam's mean gradient. Each step is on another view, so that what earlier ones wanted is out of
+    date; with the customary 0.9 a map needs more steps."""
     learning_rates: LearningRates = field(default_factory=LearningRates)
     """Adam's learning rates."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         check_range(self, 0, 1, "ssim_weight")
+        check_range(self, 0, 0.99, "momentum")
         check_range(self, 0, math.inf, "depth_weight")
 
 

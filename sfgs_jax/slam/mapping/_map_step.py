@@ -19,7 +19,7 @@ from sfgs_jax.slam.state._gaussian_map import GaussianMap, Parameters, parameter
 from sfgs_jax.slam.state._map_state import View
 from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, l1, render, ssim
 
-_BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
+_BETA2, _EPSILON = 0.999, 1e-15
 _MIN_ALPHA = 0.5
 """Accumulated opacity below which the map's depth says nothing about where its Gaussians should be."""
 _PRIOR_SHARE = 0.1
@@ -219,9 +219,9 @@ def _adam(
         here = seen.reshape(seen.shape + (1,) * (gradient.ndim - 1))
         count = jnp.maximum(updates, 1).reshape(here.shape)
         rate = getattr(config.learning_rates, name) * factor
-        m = _BETA1 * gaussian_map.first_moment[name] + (1 - _BETA1) * gradient
+        m = config.momentum * gaussian_map.first_moment[name] + (1 - config.momentum) * gradient
         v = _BETA2 * gaussian_map.second_moment[name] + (1 - _BETA2) * gradient**2
-        step = (m / (1 - _BETA1**count)) / (jnp.sqrt(v / (1 - _BETA2**count)) + _EPSILON)
+        step = (m / (1 - config.momentum**count)) / (jnp.sqrt(v / (1 - _BETA2**count)) + _EPSILON)
         moved[name] = jnp.where(here, values[name] - rate * step, values[name])
         first[name] = jnp.where(here, m, gaussian_map.first_moment[name])
         second[name] = jnp.where(here, v, gaussian_map.second_moment[name])
