@@ -18,7 +18,7 @@ def interruptible() -> Iterator[None]:
     Python prints and forgets an exception that one of its callbacks raises. JAX has a callback that runs with
     each collection of garbage. An interruption that meets one is sent again.
     """
-    unraisable = sys.unraisablehook
+    unraisable, waiting = sys.unraisablehook, list[threading.Timer]()
 
     def not_lost(lost: "sys.UnraisableHookArgs") -> None:
         if not issubclass(lost.exc_type, KeyboardInterrupt):
@@ -27,6 +27,7 @@ def interruptible() -> Iterator[None]:
         # Raised here it would be lost as well.
         again = threading.Timer(_AGAIN_S, _interrupt_main_thread)
         again.daemon = True
+        waiting.append(again)
         again.start()
 
     before = signal.signal(signal.SIGTERM, _terminate)
@@ -34,6 +35,9 @@ def interruptible() -> Iterator[None]:
     try:
         yield
     finally:
+        # After the command nobody would catch it, and the process would be killed.
+        for again in waiting:
+            again.cancel()
         sys.unraisablehook = unraisable
         signal.signal(signal.SIGTERM, before)
 

@@ -59,3 +59,21 @@ def test_a_command_leaves_the_process_as_it_was():
     before = signal.getsignal(signal.SIGTERM), sys.unraisablehook
     assert main(["nothing"], commands={"nothing": Command(lambda words: 0, "")}) == 0
     assert (signal.getsignal(signal.SIGTERM), sys.unraisablehook) == before
+
+
+@pytest.mark.parametrize("lost", [while_an_object_goes, while_garbage_is_collected])
+def test_an_interruption_that_is_lost_at_the_end_kills_nobody(lost):
+    signals = []
+    before = signal.signal(signal.SIGTERM, lambda signum, frame: signals.append(signum))
+
+    def run(words):
+        lost(signal.SIGTERM)
+        return 0
+
+    try:
+        # 130 on a machine so slow that it is sent again before the end.
+        assert main(["end"], commands={"end": Command(run, "")}) in (0, 130)
+        time.sleep(0.2)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert not signals

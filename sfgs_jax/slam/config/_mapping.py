@@ -84,8 +84,8 @@ class OptimisationConfig:
     """Estimate a gain of each colour channel for each view. Then the map need not take on the camera's
     automatic exposure and white balance."""
     momentum: float = 0.2
-    """Decay of Adam's mean gradient. Each step is on another view, so that what earlier ones wanted is out of
-    date; with the customary 0.9 a map needs more steps."""
+    """Decay of Adam's mean gradient. Each step is on another view, and what earlier ones wanted is out of
+    date. With the customary 0.9 a map needs more steps."""
     learning_rates: LearningRates = field(default_factory=LearningRates)
     """Adam's learning rates."""
 

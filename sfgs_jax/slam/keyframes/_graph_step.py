@@ -30,7 +30,7 @@ def advance_graph(
 ) -> tuple[KeyframeGraph, bool]:
     """Register a pair or so of keyframes. Once no new pair waits, and once none does, optimise.
 
-    That is put off while an adjustment is under way.
+    Optimising is put off while an adjustment is under way.
 
     Args:
         params: parameters of tracking.
@@ -66,8 +66,8 @@ def advance_graph(
 def _optimised(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
     """The graph with its keyframes where registrations and landmarks want them.
 
-    With landmarks it is only begun. That moves the newest keyframes; all others are to move too where a place
-    is seen again elsewhere than where the graph has it.
+    With landmarks an adjustment of the newest keyframes is only begun. All others are to move too where a
+    place is seen again elsewhere than where the graph has it.
     """
     if not has_landmarks(params, config):
         return replace(optimise_poses(graph, config), num_absorbed=len(graph.edges))
