@@ -6,10 +6,11 @@ between its leftmost and rightmost point there. The (tile, Gaussian) pairs are s
 """
 
 import math
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax.arrays import checked, prefix_sums
 from sfgs_jax.splatting._projection import Projected
@@ -49,12 +50,12 @@ class Occluder(eqx.Module):
     nearest: Float[Array, " n"]
     beyond: Float[Array, "H W"]
 
-    def farthest(self, columns: int, rows: int, tile_size: int) -> Float[Array, " t"]:
-        """(T,) the surface's largest depth in each tile; infinite where it is unknown all over."""
+    def farthest(self, columns: int, rows: int, tile_size: int) -> Float[Array, "{rows} {columns}"]:
+        """The surface's largest depth in each tile; infinite where it is unknown all over."""
         height, width = self.beyond.shape
         room = (0, rows * tile_size - height), (0, columns * tile_size - width)
         tiles = jnp.pad(self.beyond, room).reshape(rows, tile_size, columns, tile_size)
-        largest = jnp.max(tiles, axis=(1, 3)).reshape(-1)
+        largest = jnp.max(tiles, axis=(1, 3))
         return jnp.where(largest > 0, largest, jnp.inf)
 
 
@@ -85,15 +86,19 @@ def bin_into_tiles(
     """
     columns, rows = tile_grid(width, height, tile_size)
     tiles = columns * rows
-    spans, num_spans = _row_spans(projected, columns, rows, tile_size, pair_capacity)
+    ellipses = _Ellipses.of(projected)
+    if occluder is not None:
+        farthest = occluder.farthest(columns, rows, tile_size)
+        ellipses = ellipses.without(_hidden(ellipses, occluder.nearest, farthest, tile_size))
+    spans, num_spans = _row_spans(ellipses, columns, rows, tile_size, pair_capacity)
 
     entry, offset, num_pairs = _expand(spans.counts, pair_capacity)
     tile = spans.first_tiles[entry] + offset
     tile = jnp.where(offset >= 0, tile, tiles)
     gaussian = spans.gaussians[entry]
     if occluder is not None:
-        farthest = jnp.append(occluder.farthest(columns, rows, tile_size), -jnp.inf)
-        tile = jnp.where(occluder.nearest[gaussian] <= farthest[tile], tile, tiles)
+        in_tiles = jnp.append(occluder.farthest(columns, rows, tile_size), -jnp.inf)
+        tile = jnp.where(occluder.nearest[gaussian] <= in_tiles[tile], tile, tiles)
     counts = jnp.zeros(tiles, jnp.int32).at[tile].add(1, mode="drop")
     return TileLists(
         gaussians=sort_by_tile_and_depth(
@@ -122,7 +127,7 @@ def count_pairs(
 ) -> Int[Array, ""]:
     """Number of (tile, Gaussian) pairs; `row_capacity` must not be below `count_rows`."""
     columns, rows = tile_grid(width, height, tile_size)
-    spans, _ = _row_spans(projected, columns, rows, tile_size, row_capacity)
+    spans, _ = _row_spans(_Ellipses.of(projected), columns, rows, tile_size, row_capacity)
     return jnp.sum(spans.counts)
 
 
@@ -141,10 +146,9 @@ class _RowSpans(eqx.Module):
 
 
 def _row_spans(
-    projected: Projected, columns: int, rows: int, tile_size: int, capacity: int
+    ellipses: "_Ellipses", columns: int, rows: int, tile_size: int, capacity: int
 ) -> tuple[_RowSpans, Int[Array, ""]]:
     """The spans of all Gaussians, as far as there is room, and their number."""
-    ellipses = _Ellipses.of(projected)
     first_row, row_counts = ellipses.tile_rows(rows, tile_size)
     owner, offset, number = _expand(row_counts, capacity)
     row = first_row[owner] + offset
@@ -184,6 +188,10 @@ class _Ellipses(eqx.Module):
         p, q, r = projected.whitening.T
         return _Ellipses(u=u, v=v, p=p, q=q, r=r, reach=reach)
 
+    def without(self, left_out: Bool[Array, " n"]) -> "_Ellipses":
+        """The same, where some are not drawn."""
+        return replace(self, reach=jnp.where(left_out, -1, self.reach))
+
     def at(self, index: Int[Array, " s"]) -> "_Ellipses":
         """The ellipses of some Gaussians, looked up as rows of one table."""
         table = jnp.stack([self.u, self.v, self.p, self.q, self.r, self.reach], axis=1)[index]
@@ -219,6 +227,32 @@ class _Ellipses(eqx.Module):
         """Horizontal distance from the centre to the ellipse on the line at `dv`; `side` is -1 or 1."""
         half = jnp.sqrt(jnp.maximum(self.reach - (self.r * dv) ** 2, 0))
         return (side * half - self.q * dv) / self.p
+
+
+def _hidden(
+    ellipses: _Ellipses,
+    nearest: Float[Array, " n"],
+    farthest: Float[Array, "rows columns"],
+    tile_size: int,
+) -> Bool[Array, " n"]:
+    """Which Gaussians lie behind the surface in every tile that they reach.
+
+    Only those no larger than a tile are looked at, which reach two by two tiles at most. Nearly all are so
+    small, and those that are left out here need no room for pairs.
+    """
+    rows, columns = farthest.shape
+    below = jnp.concatenate([farthest[1:], farthest[-1:]])
+    both = jnp.maximum(farthest, below)
+    of_four = jnp.maximum(both, jnp.concatenate([both[:, 1:], both[:, -1:]], axis=1))
+    radius = jnp.sqrt(jnp.maximum(ellipses.reach, 0))
+    p, r = (jnp.where(ellipses.reach >= 0, x, 1) for x in (ellipses.p, ellipses.r))
+    half_height = radius / r
+    half_width = radius * jnp.sqrt(ellipses.q**2 + r**2) / (p * r)
+    small = (2 * half_height <= tile_size) & (2 * half_width <= tile_size)
+    first_row, _ = _tile_range(ellipses.v - half_height, ellipses.v + half_height, rows, tile_size)
+    first_column, _ = _tile_range(ellipses.u - half_width, ellipses.u + half_width, columns, tile_size)
+    place = jnp.minimum(first_row, rows - 1) * columns + jnp.minimum(first_column, columns - 1)
+    return small & (nearest > of_four.reshape(-1)[place])
 
 
 def _tile_range(

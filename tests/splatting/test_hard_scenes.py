@@ -187,7 +187,19 @@ def test_what_a_surface_hides_is_left_out(wall_and_room):
     tiles += CONFIG.tile_size
     np.testing.assert_allclose(found.rgb[:, tiles:], whole.rgb[:, tiles:], atol=1e-6)
     assert np.abs(whole.rgb - front.rgb)[:, :tiles].max() > 0.01, "there is something to hide"
-    assert int(found.needed) == int(whole.needed)
+    assert int(found.needed) < int(whole.needed), "what is hidden needs no room"
+
+
+def test_each_tile_hides_by_its_own_depth(wall_and_room):
+    """A Gaussian on the border of two tiles is drawn in the one that does not hide it."""
+    scene, _, camera, pose, _ = wall_and_room
+    rows, columns = np.indices(camera.shape) // CONFIG.tile_size
+    deep = (rows + columns) % 2 == 1
+    draw = partial(render, scene, camera, pose, config=CONFIG)
+    found = draw(hidden_beyond=jnp.asarray(np.where(deep, 100, 5).astype(np.float32)))
+    shallow = draw(hidden_beyond=jnp.full(camera.shape, 5.0))
+    np.testing.assert_allclose(found.rgb, np.where(deep[..., None], draw().rgb, shallow.rgb), atol=1e-6)
+    assert np.abs(draw().rgb - shallow.rgb)[deep].max() > 0.01
 
 
 def test_what_is_hidden_has_no_gradient(wall_and_room):
