@@ -29,7 +29,7 @@ from sfgs_jax.slam.state import View, corrections_of, empty_log, gains_of, grow,
 from sfgs_jax.splatting import RenderConfig, render
 
 DEFAULT = MappingConfig()
-QUALITY_DB = 31.0
+QUALITY_DB = 31.8
 """PSNR of the small map, held-out frames among its scored ones."""
 
 

@@ -154,8 +154,10 @@ class MappingConfig:
     final_seconds: float = 0.0
     """Seconds of refinement in place of a number of steps; 0 means `final_steps`. A run with it does not
     repeat itself to the bit."""
+    first_rate: float = 2.5
+    """Factor on the Gaussians' learning rates that the refinement begins with."""
     final_rate: float = 0.1
-    """Factor on the learning rates that the refinement ends with."""
+    """Share of its first learning rates that the refinement ends with."""
     newest_share: float = 0.3
     """Share of the map steps that goes to the newest view. The others go to views drawn uniformly."""
     prune_interval: int = 200
@@ -185,5 +187,6 @@ class MappingConfig:
         check_counts(self, self.capacity, "max_capacity")
         check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")
         check_range(self, 0, 1, "newest_share", "prune_opacity", "final_rate")
+        check_range(self, 0, math.inf, "first_rate")
         check_range(self, 0, math.inf, "final_seconds")
         check_positive(self, "max_view_shift")

@@ -242,7 +242,7 @@ def step_on_view(
     *,
     rate: float = 1.0,
     learn: bool = True,
-    move_view: bool = False,
+    view_rate: float = 0.0,
 ) -> tuple[MapState, MapStep]:
     """One map step on a view, with as much room for pairs as it needs.
 
@@ -253,7 +253,7 @@ def step_on_view(
         config: settings.
         rate: factor on the learning rates.
         learn: take the step; otherwise the view is only compared with the map.
-        move_view: take a step of the view's pose too.
+        view_rate: factor on the step of the view's pose; with 0 it stays.
 
     Returns:
         The map state after the step, and what the step found.
@@ -280,7 +280,7 @@ def step_on_view(
     if num_steps % config.prune_interval == 0:
         optimised = prune(optimised, config.prune_opacity)
     views = list(mapping.views)
-    correction = _corrected(view, done, rate * config.optimisation.learning_rates.poses * move_view)
+    correction = _corrected(view, done, view_rate * config.optimisation.learning_rates.poses)
     views[number] = replace(view, gain=np.asarray(done.gain), correction=correction)
     return replace(mapping, map=optimised, views=tuple(views), num_steps=num_steps), done
 

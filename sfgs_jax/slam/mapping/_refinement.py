@@ -38,13 +38,9 @@ def refine_once(
     if mapping.num_submaps:
         order = _place_by_place(mapping, order)
         mapping = with_surface_of(mapping, mapping.views[order[place]], camera, config)
+    decay = config.final_rate**done
     mapping, stepped = step_on_view(
-        mapping,
-        int(order[place]),
-        camera,
-        config,
-        rate=config.final_rate**done,
-        move_view=True,
+        mapping, int(order[place]), camera, config, rate=config.first_rate * decay, view_rate=decay
     )
     return mapping, float(stepped.loss)
 
