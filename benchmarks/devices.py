@@ -1,11 +1,11 @@
-"""Hot paths on each device that JAX has: times of compilation and of a call, and how far results are apart.
+"""Hot paths on each device that JAX has: times of the first call and of later ones, and how results differ.
 
     python -m benchmarks.devices [--devices cpu cuda] [--only NAME ...] [--calls 20]
 
-Each device is measured in a process of its own, one after the other. A time is the median of calls after the
-first, waited for; inputs are on the device already. The compilation's time is that of the first call, less a
-later one. *Apart* is the relative distance of the floating-point results from the first device's,
-||a - b|| / ||a||. Frames are of the synthetic room, so that no recording is needed.
+Each device is measured in a process of its own, one after the other. *First* is the time to the first result:
+most of it is compilation, the rest makes the inputs. *ms* is the median of later calls, waited for, with
+inputs that are on the device. *Apart* is the relative distance of the floating-point results from the first
+device's, ||a - b|| / ||a||. Frames are of the synthetic room, so that no recording is needed.
 """
 
 import argparse
@@ -141,27 +141,21 @@ def numbers_of(result: Any) -> np.ndarray:
 
 
 def measured(name: str, calls: int) -> tuple[float, float, np.ndarray]:
-    """Seconds of compilation, seconds of a call for one frame, and the numbers of its result."""
+    """Seconds to the first result, seconds of a later call for one frame, and the numbers of the result."""
+    start = time.perf_counter()
     prepare, frames = CALLS[name]
     call = prepare()
-    start = time.perf_counter()
     result = jax.block_until_ready(call())
     first = time.perf_counter() - start
-    later = []
-    for _ in range(calls):
-        start = time.perf_counter()
-        jax.block_until_ready(call())
-        later.append(time.perf_counter() - start)
-    middle = float(np.median(later))
-    return max(0.0, first - middle), middle / frames, numbers_of(result)
+    return first, float(np.median([gate.seconds(call) for _ in range(calls)])) / frames, numbers_of(result)
 
 
 def measure(names: list[str], calls: int, folder: Path) -> None:
     """Measure on this process's device; write the times, and the results as arrays."""
     times: dict[str, Any] = {"device": jax.devices()[0].device_kind}
     for number, name in enumerate(names):
-        compilation, seconds, numbers = measured(name, calls)
-        times[name] = (compilation, seconds)
+        first, seconds, numbers = measured(name, calls)
+        times[name] = (first, seconds)
         np.save(folder / f"{number}.npy", numbers)
         (folder / "times.json").write_text(json.dumps(times), encoding="utf-8")
         print(f"{times['device']}: {name}: {1e3 * seconds:.2f} ms", file=sys.stderr, flush=True)
@@ -174,9 +168,9 @@ def apart(folder: Path, other: Path) -> float:
 
 
 def print_table(names: list[str], folders: list[Path]) -> None:
-    """Compilation and call on each device, and the distance of its results from the first device's."""
+    """First and later calls on each device, and the distance of its results from the first device's."""
     times = [json.loads((folder / "times.json").read_text(encoding="utf-8")) for folder in folders]
-    heads = [f"{t['device']}: compilation s | ms" for t in times]
+    heads = [f"{t['device']}: first s | ms" for t in times]
     print("| " + " | ".join(["", *heads, *("apart" for _ in folders[1:])]) + " |")
     print("| --- " * (1 + 2 * len(folders) + len(folders[1:])) + "|")
     for number, name in enumerate(names):
