@@ -25,8 +25,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import gate
-from sfgs_jax import datasets, slam
-from sfgs_jax.geometry import Frame, se3
+from benchmarks.steps import steps_of
+from sfgs_jax import datasets, slam, superfeats
+from sfgs_jax.geometry import Frame
 
 Call = Callable[[], Any]
 SEQUENCE = 30
@@ -67,15 +68,10 @@ def sequences(batch: int) -> Call:
     tracker = slam.init_tracker(params)
 
     @jax.jit
+    @jax.vmap
     def tracked(rgb: jax.Array, depth: jax.Array, elapsed: jax.Array) -> jax.Array:
-        def one(rgb: jax.Array, depth: jax.Array, elapsed: jax.Array) -> jax.Array:
-            def step(tracker: slam.Tracker, frame: Any) -> tuple[slam.Tracker, jax.Array]:
-                tracker, info = slam.track(params, tracker, *frame)
-                return tracker, info.T_world_cam.wxyz_xyz
-
-            return jax.lax.scan(step, tracker, (rgb, depth, elapsed))[1]
-
-        return jax.vmap(one)(rgb, depth, elapsed)
+        _, sequence = slam.track_sequence(params, tracker, rgb, depth, elapsed, rematerialise=False)
+        return sequence.T_world_cam.wxyz_xyz
 
     return lambda: tracked(rgb, depth, elapsed)
 
@@ -87,27 +83,25 @@ def rendering() -> Call:
 
 
 @cache
-def window_and_map(width: int, height: int) -> tuple[Call, Call]:
-    """The adjustment of a window, and a map step, on the state of a run."""
+def steps_of_a_run(width: int, height: int) -> dict[str, Call]:
+    """Calls of the compiled steps on the state of a run."""
     state = slam.init(gate.synthetic_camera(width, height), slam.SlamConfig())
-    for frame in frames_of(SEQUENCE, width, height):
+    frames = frames_of(SEQUENCE, width, height)
+    for frame in frames:
         state, _ = slam.step(state, frame)
-    config, view = state.config.mapping, state.mapping.views[-1]
-    window = slam.window_of(state.params, state.graph, state.config.graph)
-    params = slam.MapParams(
-        camera=state.mapping_camera,
-        timing=None,
-        mean_gain=jnp.ones(3),
-        rate=jnp.ones(()),
-        config=config.optimisation,
-        seeding=config.seeding,
-        pair_capacity=state.mapping.pair_capacity,
-    )
-    pose = se3.compose(state.graph.pose(view.keyframe), view.T_keyframe_cam)
-    return (
-        lambda: slam.adjust(state.params, window).solution.values.poses.wxyz_xyz,
-        lambda: slam.map_step(params, state.mapping.map, view, pose).map.gaussians.means,
-    )
+    return steps_of(state, np.asarray(superfeats.mean_grey(frames[-1].rgb)), np.asarray(frames[-1].depth))
+
+
+def adjustment() -> Call:
+    """Poses of an adjusted window."""
+    call = steps_of_a_run(320, 240)["adjust"]
+    return lambda: call().solution.values.poses.wxyz_xyz
+
+
+def mapping(width: int, height: int) -> Call:
+    """Means of the Gaussians after a map step."""
+    call = steps_of_a_run(width, height)["map_step"]
+    return lambda: call().map.gaussians.means
 
 
 def optimum() -> Call:
@@ -124,14 +118,14 @@ CALLS: dict[str, tuple[Callable[[], Call], int]] = {
     "track, 640x480": (lambda: tracking(640, 480), 1),
     f"a frame of {SEQUENCE}, tracked in a scan, 320x240": (lambda: sequences(1), SEQUENCE),
     f"the same, {BATCH} recordings at once": (lambda: sequences(BATCH), SEQUENCE * BATCH),
-    "adjust a window": (lambda: window_and_map(320, 240)[0], 1),
-    "map step, 320x240": (lambda: window_and_map(320, 240)[1], 1),
-    "map step, 640x480": (lambda: window_and_map(640, 480)[1], 1),
+    "adjust a window": (adjustment, 1),
+    "map step, 320x240": (lambda: mapping(320, 240), 1),
+    "map step, 640x480": (lambda: mapping(640, 480), 1),
     "render 77,000 Gaussians, 640x480": (rendering, 1),
     "render and its gradient": (gate.rendering_gradient, 1),
     "bundle adjustment, 50 poses": (optimum, 1),
 }
-"""What is measured, and the frames that one call is for."""
+"""Name of each measurement, the function that prepares its call, and the frames that one call is for."""
 
 
 def numbers_of(result: Any) -> np.ndarray:
