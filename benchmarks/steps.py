@@ -45,6 +45,7 @@ def steps_of(state: SlamState, grey: np.ndarray, depth: np.ndarray) -> dict[str,
         config=config.optimisation,
         seeding=config.seeding,
         pair_capacity=state.mapping.pair_capacity,
+        view_capacity=state.mapping.view_capacity,
     )
     pose = se3.compose(state.graph.pose(view.keyframe), view.T_keyframe_cam)
     elapsed = np.float32(1 / 30)

@@ -9,6 +9,8 @@ from sfgs_jax.sensors._timing import SensorTiming, carried, row_places
 
 _ROUNDS = 2
 """Times that the pixel is looked for at which depth saw a ray; the second begins with the depth found."""
+_NEAREST = 1e-6
+"""Depth at which points behind the camera are looked for, which is nowhere in the image."""
 
 
 @checked
@@ -34,19 +36,28 @@ def depth_in_time(
     """
     require_depth(depth, camera.shape, "depth of depth_in_time", "its camera's")
     height, width = depth.shape
-    pixels = camera.pixels().reshape(-1, 2)
-    places = row_places(pixels[:, 1], height)
-    ahead = timing.depth_times(places) - timing.colour_times(places)
     flat = depth.reshape(-1)
+    index = jnp.arange(flat.shape[0], dtype=jnp.int32)
+    row, column = index // width, index % width
+    places = row_places(row.astype(depth.dtype), height)
+    ahead = timing.depth_times(places) - timing.colour_times(places)
+
+    def moved(row: Array, column: Array, z: Array, times: Array) -> Float[Array, "3 N"]:
+        # Column by column: XLA fuses these expressions, and not those of an array of pixels.
+        x = (column - camera.cx) / camera.fx * z
+        return carried(jnp.stack([x, (row - camera.cy) / camera.fy * z, z]), twist, times)
+
     known, found = flat > 0, flat
     for _ in range(_ROUNDS):
-        points = camera.unproject(pixels, jnp.where(known, found, 1)).T
-        there = jnp.round(camera.project(carried(points, twist, -ahead).T)).astype(jnp.int32)
-        inside = (there >= 0) & (there < jnp.asarray([[width, height]]))
-        known &= inside[:, 0] & inside[:, 1]
-        place = jnp.where(known, there[:, 1] * width + there[:, 0], 0)
+        x, y, z = moved(row, column, jnp.where(known, found, 1), -ahead)
+        z = jnp.maximum(z, _NEAREST)
+        there = [
+            jnp.round(scale * part / z + centre).astype(jnp.int32)
+            for scale, part, centre in ((camera.fx, x, camera.cx), (camera.fy, y, camera.cy))
+        ]
+        known &= (there[0] >= 0) & (there[0] < width) & (there[1] >= 0) & (there[1] < height)
+        place = jnp.where(known, there[1] * width + there[0], 0)
         seen = flat[place]
         known &= seen > 0
-        points = camera.unproject(pixels[place], jnp.where(known, seen, 1)).T
-        found = carried(points, twist, ahead)[2]
+        found = moved(place // width, place % width, jnp.where(known, seen, 1), ahead)[2]
     return jnp.where(known, found, 0).reshape(height, width)

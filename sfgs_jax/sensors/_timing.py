@@ -89,7 +89,8 @@ def velocities(points: Float[Array, "3 N"], twist: Float[Array, "6"]) -> Float[A
         points: camera coordinates, metres.
         twist: motion of the camera per second in its own frame, translation first.
     """
-    return twist[:3, None] + jnp.cross(twist[3:, None], points, axis=0)
+    turning = _cross(twist[3:], points)
+    return jnp.stack([speed + part for speed, part in zip(twist[:3], turning, strict=True)])
 
 
 @checked
@@ -106,8 +107,9 @@ def carried(
         times: seconds.
     """
     first = velocities(points, twist)
-    second = jnp.cross(twist[3:, None], first, axis=0)
-    return points + times[None] * (first + times[None] / 2 * second)
+    second = _cross(twist[3:], first)
+    moved = zip(points, first, second, strict=True)
+    return jnp.stack([point + times * (v + times / 2 * a) for point, v, a in moved])
 
 
 @checked
@@ -116,3 +118,9 @@ def turned(
 ) -> Float[Array, "3 N"]:
     """Directions seen at other times, in the camera of time 0; arguments as of `carried`."""
     return carried(directions, twist.at[:3].set(0), times)
+
+
+def _cross(w: Float[Array, "3"], points: Float[Array, "3 N"]) -> list[Float[Array, " N"]]:
+    """Rows of w x p, which XLA fuses with what comes before and after; those of `jnp.cross` it does not."""
+    x, y, z = points
+    return [w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x]

@@ -390,12 +390,12 @@ def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):
 def test_the_larger_map_is_compiled_before_it_is_needed(seeded, config, compilations):
     mapping, camera = seeded.mapping, seeded.mapping_camera
     settings = replace(config.mapping, steps_per_frame=1)
-    assert not compile_ahead(mapping, camera, settings, needed=0), "it is not three quarters full"
+    assert not compile_ahead(mapping, camera, settings, needed=0, in_view=0), "it is not three quarters full"
     used = mapping.num_gaussians
     full = jax.tree.map(lambda x: x[: int(used / 0.9)], mapping.map)
     assert int(full.gaussians.valid.sum()) == used, "the used slots come first"
     mapping = replace(mapping, map=full)
-    (prepared,) = compile_ahead(mapping, camera, settings, needed=0)
+    (prepared,) = compile_ahead(mapping, camera, settings, needed=0, in_view=0)
     prepared.result()
 
     compilations.clear()
@@ -406,15 +406,16 @@ def test_the_larger_map_is_compiled_before_it_is_needed(seeded, config, compilat
     pruned = prune(mapping.map, settings.prune_opacity)
     jax.block_until_ready((pruned, move(mapping.map, mapping.keyframe_poses, moved)))
     assert not compilations
-    assert not compile_ahead(replace(mapping, map=full), camera, settings, needed=0), "it was asked for"
+    mapping = replace(mapping, map=full)
+    assert not compile_ahead(mapping, camera, settings, needed=0, in_view=0), "it was asked for"
 
 
 def test_room_for_more_keyframes_is_compiled_before_it_is_needed(seeded, config, compilations):
     poses = np.repeat(seeded.mapping.keyframe_poses[:1], 130, axis=0)
     mapping, camera = replace(seeded.mapping, keyframe_poses=poses[:90]), seeded.mapping_camera
-    assert not compile_ahead(mapping, camera, config.mapping, needed=0), "there is room for 128"
+    assert not compile_ahead(mapping, camera, config.mapping, needed=0, in_view=0), "there is room for 128"
     mapping = replace(mapping, keyframe_poses=poses[:100])
-    (prepared,) = compile_ahead(mapping, camera, config.mapping, needed=0)
+    (prepared,) = compile_ahead(mapping, camera, config.mapping, needed=0, in_view=0)
     prepared.result()
     compilations.clear()
     jax.block_until_ready(move(mapping.map, poses, poses))
@@ -428,7 +429,7 @@ def test_more_room_for_pairs_is_compiled_before_it_is_needed(seeded, config, com
     needed = int(done.needed)
     tight = replace(mapping, pair_capacity=needed * 5 // 4)
     assert int(step_on_view(tight, 0, camera, settings, learn=False)[1].overflow) == 0
-    (prepared,) = compile_ahead(tight, camera, settings, needed=needed)
+    (prepared,) = compile_ahead(tight, camera, settings, needed=needed, in_view=0)
     prepared.result()
 
     compilations.clear()
@@ -436,7 +437,21 @@ def test_more_room_for_pairs_is_compiled_before_it_is_needed(seeded, config, com
     roomy, _ = insert_view(roomy, roomy.views[0], camera, settings)
     optimise_once(roomy, camera, settings, newest_share=1.0)
     assert not compilations
-    assert not compile_ahead(tight, camera, settings, needed=needed), "it was asked for"
+    assert not compile_ahead(tight, camera, settings, needed=needed, in_view=0), "it was asked for"
+
+
+def test_more_room_for_gaussians_in_view_is_compiled_before_it_is_needed(seeded, config, compilations):
+    mapping, camera = seeded.mapping, seeded.mapping_camera
+    _, done = step_on_view(mapping, 0, camera, config.mapping, learn=False)
+    seen = int(done.in_view)
+    tight = replace(mapping, view_capacity=seen * 5 // 4)
+    (prepared,) = compile_ahead(tight, camera, config.mapping, needed=0, in_view=seen)
+    prepared.result()
+
+    compilations.clear()
+    roomy = replace(tight, view_capacity=2 * tight.view_capacity)
+    insert_view(roomy, roomy.views[0], camera, config.mapping)
+    assert not compilations
 
 
 def test_a_view_that_lacks_room_for_pairs_gets_it(seeded, config):
@@ -448,3 +463,31 @@ def test_a_view_that_lacks_room_for_pairs_gets_it(seeded, config):
     assert after.pair_capacity == 2 * (needed - 1)
     assert int(tight.overflow) == 0
     np.testing.assert_allclose(tight.loss, roomy.loss, rtol=1e-6)
+
+
+@pytest.mark.parametrize("learn", [True, False])
+def test_a_view_that_lacks_room_for_gaussians_gets_it(seeded, config, learn: bool):
+    mapping, camera = seeded.mapping, seeded.mapping_camera
+    before, roomy = step_on_view(mapping, 0, camera, config.mapping, learn=learn)
+    seen = int(roomy.in_view)
+    assert seen > 1
+    cramped = replace(mapping, view_capacity=seen // 2)
+    after, tight = step_on_view(cramped, 0, camera, config.mapping, learn=learn)
+    assert seen <= after.view_capacity < 2 * seen
+    assert int(tight.in_view) == seen
+    assert int(tight.overflow) == 0
+    np.testing.assert_allclose(tight.loss, roomy.loss, rtol=1e-6)
+    for one, other in zip(jax.tree.leaves(before.map), jax.tree.leaves(after.map), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
+
+
+def test_what_is_out_of_view_stays_as_it_was(seeded, config):
+    mapping, camera = seeded.mapping, seeded.mapping_camera
+    away = replace(mapping.views[0], T_keyframe_cam=se3.exp(jnp.asarray([0.0, 0, 0, 0, 0.4, 0])))
+    mapping = replace(mapping, views=(away,))
+    after, done = step_on_view(mapping, 0, camera, config.mapping)
+    moved = np.any(np.asarray(after.map.gaussians.means != mapping.map.gaussians.means), axis=1)
+    assert 0 < moved.sum() <= int(done.in_view) < mapping.num_gaussians
+    still = ~moved
+    for one, other in zip(jax.tree.leaves(mapping.map), jax.tree.leaves(after.map), strict=True):
+        np.testing.assert_array_equal(np.asarray(one)[still], np.asarray(other)[still])

@@ -32,6 +32,7 @@ def joined_views(mapping: MapState, other: MapState, shift: int) -> MapState:
         keyframe_poses=np.concatenate([mapping.keyframe_poses, other.keyframe_poses]),
         num_steps=mapping.num_steps + other.num_steps,
         pair_capacity=max(mapping.pair_capacity, other.pair_capacity),
+        view_capacity=max(mapping.view_capacity, other.view_capacity),
         dropped_seeds=mapping.dropped_seeds + other.dropped_seeds,
     )
 

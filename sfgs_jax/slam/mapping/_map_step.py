@@ -15,9 +15,16 @@ from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time, fitted_gain, with_gain
 from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
 from sfgs_jax.slam.mapping._seeding import uncovered
-from sfgs_jax.slam.state._gaussian_map import GaussianMap, Parameters, parameters, with_parameters
+from sfgs_jax.slam.state._gaussian_map import (
+    GaussianMap,
+    Parameters,
+    at_rows,
+    parameters,
+    with_parameters,
+    with_rows,
+)
 from sfgs_jax.slam.state._map_state import View
-from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, l1, render, ssim
+from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, l1, project, render, ssim
 
 _BETA2, _EPSILON = 0.999, 1e-15
 _MIN_ALPHA = 0.5
@@ -63,6 +70,7 @@ class MapParams(eqx.Module):
         config: loss and learning rates.
         seeding: settings that say where the map lacks surface.
         pair_capacity: pairs of tile and Gaussian that a rendering has room for.
+        view_capacity: Gaussians in view that a rendering has room for.
     """
 
     camera: Camera
@@ -72,6 +80,7 @@ class MapParams(eqx.Module):
     config: OptimisationConfig = eqx.field(static=True)
     seeding: SeedingConfig = eqx.field(static=True)
     pair_capacity: int = eqx.field(static=True)
+    view_capacity: int = eqx.field(static=True)
 
 
 class MapStep(NamedTuple):
@@ -83,9 +92,10 @@ class MapStep(NamedTuple):
         missing: (h, w) pixels whose surface the map lacked before it.
         gain: of the view's colours against the map's; ones if they count as exposed alike.
         seed_gain: the same for the colours of new Gaussians, where the map is still transparent.
-        overflow: pairs that did not fit. Where it is not 0 the rendering was incomplete; repeat the step with
-            more room.
+        overflow: pairs and Gaussians in view that did not fit. Where it is not 0 the rendering was
+            incomplete; repeat the step with more room.
         needed: room for pairs that the rendering needed, at least so much where some did not fit.
+        in_view: Gaussians that the view's camera sees.
         pose_gradient: (6,) of the loss by the tangent of the view's pose, on the right.
     """
 
@@ -96,6 +106,7 @@ class MapStep(NamedTuple):
     seed_gain: Float[Array, "3"]
     overflow: Int[Array, ""]
     needed: Int[Array, ""]
+    in_view: Int[Array, ""]
     pose_gradient: Float[Array, "6"]
 
 
@@ -132,15 +143,18 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
         T_world_cam: its pose when colour's middle row was exposed.
     """
 
+    rows, in_view = _rows_in_view(params, gaussian_map.gaussians, view, T_world_cam)
+    seen = at_rows(gaussian_map, rows)
+
     def loss_of(values: Parameters, delta: Float[Array, "6"]) -> tuple[Array, _About]:
         T = se3.compose(T_world_cam, se3.exp(delta))
-        return _loss(params, gaussian_map.gaussians, view, T, values)
+        return _loss(params, seen.gaussians, view, T, values)
 
-    values, still = parameters(gaussian_map.gaussians), jnp.zeros(6)
-    (loss, about), found = jax.value_and_grad(loss_of, argnums=(0, 1), has_aux=True)(values, still)
-    (missing, gain, seed_gain, overflow, needed), (gradients, pose_gradient) = about, found
-    optimised = _adam(gaussian_map, gradients, params.config, params.rate)
-    return MapStep(optimised, loss, missing, gain, seed_gain, overflow, needed, pose_gradient)
+    start = parameters(seen.gaussians), jnp.zeros(6)
+    (loss, about), found = jax.value_and_grad(loss_of, argnums=(0, 1), has_aux=True)(*start)
+    gradients, pose_gradient = found
+    after = with_rows(gaussian_map, rows, _adam(seen, gradients, params.config, params.rate))
+    return _found(after, loss, about, rows, in_view, pose_gradient)
 
 
 @jax.jit
@@ -151,9 +165,53 @@ def compare_with_map(
 
     What the view's surface hides is not drawn, which in rooms behind rooms is most of the map.
     """
-    values = parameters(gaussian_map.gaussians)
-    loss, about = _loss(params, gaussian_map.gaussians, view, T_world_cam, values, visible_only=True)
-    return MapStep(gaussian_map, loss, *about, jnp.zeros(6))
+    rows, in_view = _rows_in_view(params, gaussian_map.gaussians, view, T_world_cam)
+    seen = at_rows(gaussian_map, rows).gaussians
+    loss, about = _loss(params, seen, view, T_world_cam, parameters(seen), visible_only=True)
+    return _found(gaussian_map, loss, about, rows, in_view, jnp.zeros(6))
+
+
+def _rows_in_view(
+    params: MapParams, gaussians: Gaussians, view: View, T_world_cam: jaxlie.SE3
+) -> tuple[Int[Array, " v"], Int[Array, ""]]:
+    """Slots of the Gaussians that the view's camera sees, as far as there is room, and how many it sees.
+
+    Most of a map is out of view, and all that follows works on what is in it.
+    """
+    projected, _ = project(gaussians, params.camera, T_world_cam, _shutter(params, view))
+    slots = gaussians.valid.shape[0]
+    room = min(params.view_capacity, slots)
+    (rows,) = jnp.nonzero(projected.visible, size=room, fill_value=slots)
+    return rows.astype(jnp.int32), jnp.sum(projected.visible, dtype=jnp.int32)
+
+
+def _shutter(params: MapParams, view: View) -> RollingShutter | None:
+    """Motion of the view's camera while its rows were exposed."""
+    if params.timing is None:
+        return None
+    return RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
+
+
+def _found(
+    after: GaussianMap,
+    loss: Array,
+    about: _About,
+    rows: Int[Array, " v"],
+    in_view: Int[Array, ""],
+    pose_gradient: Float[Array, "6"],
+) -> MapStep:
+    missing, gain, seed_gain, overflow, needed = about
+    return MapStep(
+        map=after,
+        loss=loss,
+        missing=missing,
+        gain=gain,
+        seed_gain=seed_gain,
+        overflow=overflow + jnp.maximum(in_view - rows.shape[0], 0),
+        needed=needed,
+        in_view=in_view,
+        pose_gradient=pose_gradient,
+    )
 
 
 def _loss(
@@ -167,13 +225,11 @@ def _loss(
 ) -> tuple[Array, _About]:
     """Loss of the map with other values of its parameters, and the fields of `MapStep` behind it."""
     rgb, depth = seen_by(view, params.camera, params.timing)
-    shutter = None
-    if params.timing is not None:
-        shutter = RollingShutter(jnp.asarray(view.twist), params.timing.colour_readout)
     config, valid = RenderConfig(pair_capacity=params.pair_capacity), jnp.asarray(view.valid)
     drawn = with_parameters(gaussians, values)
     # A surface within the margin behind the measured one still counts as that.
     hidden = depth * (1 + 2 * params.seeding.depth_margin) if visible_only else None
+    shutter = _shutter(params, view)
     out = render(drawn, params.camera, T_world_cam, shutter=shutter, hidden_beyond=hidden, config=config)
     lacking = uncovered(out, depth, params.seeding)
     gain = seed_gain = jnp.ones(3)

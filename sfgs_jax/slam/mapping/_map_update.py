@@ -109,7 +109,7 @@ def insert_view(
     """Keep a view, and set Gaussians where the map lacks its surface. The map grows where it is full.
 
     A rendering of the view, which is that of the first step on it, tells where surface is missing. Before the
-    map or a rendering's room for pairs is full, the programs of a larger one are compiled in the background.
+    map or a rendering's room is full, the programs of a larger one are compiled in the background.
 
     Args:
         mapping: the map, which knows of the view's keyframe.
@@ -121,12 +121,12 @@ def insert_view(
         The map state, and the loss of the map before.
     """
     mapping, done = _with_view(mapping, view, camera, config)
-    compile_ahead(mapping, camera, config, needed=int(done.needed))
+    compile_ahead(mapping, camera, config, needed=int(done.needed), in_view=int(done.in_view))
     return mapping, float(done.loss)
 
 
 def compile_ahead(
-    mapping: MapState, camera: Camera, config: MappingConfig, *, needed: int
+    mapping: MapState, camera: Camera, config: MappingConfig, *, needed: int, in_view: int
 ) -> list[Future[object]]:
     """Compile the programs of twice the room in the background, once there is a quarter left of it.
 
@@ -135,20 +135,24 @@ def compile_ahead(
         camera: of the views.
         config: settings.
         needed: room for pairs that the newest view needs.
+        in_view: Gaussians that its camera sees.
 
     Returns:
-        Done when they are compiled: those of a larger map, of more room for pairs, and of more keyframes.
-        None of them where there is room enough, or where they have been asked for before.
+        Done when they are compiled: those of a larger map, of more room for pairs and for Gaussians in view,
+        and of more keyframes. None of them where there is room enough, or where they have been asked for
+        before.
     """
     valid = np.asarray(mapping.map.gaussians.valid)
-    capacity, pairs = len(valid), mapping.pair_capacity
+    capacity, pairs, seen = len(valid), mapping.pair_capacity, mapping.view_capacity
     rooms = []
     # Beyond what the memory has room for, far places leave instead.
     most = min(config.max_capacity, config.gaussians_in_memory)
     if 2 * capacity <= most and valid.sum() > capacity * 3 // 4:
-        rooms.append((2 * capacity, pairs))
+        rooms.append((2 * capacity, pairs, seen))
     if needed > pairs * 3 // 4:
-        rooms.append((capacity, 2 * pairs))
+        rooms.append((capacity, 2 * pairs, seen))
+    if in_view > seen * 3 // 4:
+        rooms.append((capacity, pairs, 2 * seen))
     begun = [
         _background.once((*room, camera.shape, config), _use_room, room, mapping, camera, config)
         for room in rooms
@@ -160,14 +164,14 @@ def compile_ahead(
     return [future for future in begun if future is not None]
 
 
-def _use_room(room: tuple[int, int], mapping: MapState, camera: Camera, config: MappingConfig) -> None:
-    """Take the newest view into an empty map with room for Gaussians and pairs, by the programs of a run."""
-    capacity, pairs = room
+def _use_room(room: tuple[int, int, int], mapping: MapState, camera: Camera, config: MappingConfig) -> None:
+    """Take the newest view into an empty map with this room for Gaussians, pairs, and Gaussians in view."""
+    capacity, pairs, seen = room
     empty = empty_map(mapping.map.gaussians.valid.shape[0])
     if len(empty.updates) < capacity:
         empty = grow(empty)
     view, poses = mapping.views[-1], mapping.keyframe_poses
-    mapping = replace(mapping, map=empty, views=(), submaps=(), pair_capacity=pairs)
+    mapping = replace(mapping, map=empty, views=(), submaps=(), pair_capacity=pairs, view_capacity=seen)
     mapping, _ = _with_view(mapping, view, camera, config)
     # Tracing takes seconds that the tracker waits for, so only what the run will use before its end.
     if config.steps_per_view or config.steps_per_frame:
@@ -244,7 +248,7 @@ def step_on_view(
     learn: bool = True,
     view_rate: float = 0.0,
 ) -> tuple[MapState, MapStep]:
-    """One map step on a view, with as much room for pairs as it needs.
+    """One map step on a view, with as much room for Gaussians and pairs as it needs.
 
     Args:
         mapping: before.
@@ -269,11 +273,16 @@ def step_on_view(
             config=config.optimisation,
             seeding=config.seeding,
             pair_capacity=mapping.pair_capacity,
+            view_capacity=mapping.view_capacity,
         )
         done = (map_step if learn else compare_with_map)(params, mapping.map, view, T_world_cam)
         if not int(done.overflow):
             break
-        mapping = replace(mapping, pair_capacity=doubled(mapping.pair_capacity, int(done.needed)))
+        mapping = replace(
+            mapping,
+            pair_capacity=doubled(mapping.pair_capacity, int(done.needed)),
+            view_capacity=doubled(mapping.view_capacity, int(done.in_view)),
+        )
     if not learn:
         return mapping, done
     num_steps, optimised = mapping.num_steps + 1, done.map

@@ -67,6 +67,41 @@ def empty_map(capacity: int) -> GaussianMap:
     )
 
 
+def at_rows(gaussian_map: GaussianMap, rows: Int[Array, " v"]) -> GaussianMap:
+    """The map of some Gaussians alone.
+
+    Args:
+        gaussian_map: the map of N slots.
+        rows: (v,) slots to take; N gives a slot that is not in use.
+    """
+    return jax.tree.map(lambda x: x.at[rows].get(mode="fill", fill_value=0), gaussian_map)
+
+
+def with_rows(gaussian_map: GaussianMap, rows: Int[Array, " v"], new: GaussianMap) -> GaussianMap:
+    """The map after an optimiser's step on some Gaussians.
+
+    Args:
+        gaussian_map: before, N slots.
+        rows: (v,) their slots in ascending order, each once; what lies at N is left out.
+        new: `at_rows` of them after the step. What a step does not change is not taken from it.
+    """
+
+    def put(old: Array, values: Array) -> Array:
+        return old.at[rows].set(values, mode="drop", indices_are_sorted=True, unique_indices=True)
+
+    def stepped(m: GaussianMap) -> tuple[Parameters, Parameters, Parameters, Array]:
+        return parameters(m.gaussians), m.first_moment, m.second_moment, m.updates
+
+    values, first, second, updates = jax.tree.map(put, stepped(gaussian_map), stepped(new))
+    return GaussianMap(
+        gaussians=with_parameters(gaussian_map.gaussians, values),
+        first_moment=first,
+        second_moment=second,
+        updates=updates,
+        keyframes=gaussian_map.keyframes,
+    )
+
+
 def grow(gaussian_map: GaussianMap) -> GaussianMap:
     """The same map with twice the room; programs over it compile anew."""
     room = empty_map(gaussian_map.gaussians.valid.shape[0])

@@ -13,6 +13,8 @@ from sfgs_jax.slam.state._submaps import Submap, with_submaps
 
 _PAIRS_PER_PIXEL = 1.7
 """Room for pairs at first: what views of a furnished room need once they are covered twice over."""
+_SEEN_PER_PIXEL = 0.2
+"""Room for Gaussians in view at first, with which that for pairs goes along."""
 
 
 @pytree
@@ -59,6 +61,7 @@ class MapState:
             None if images count as taken at once.
         num_steps: map steps done.
         pair_capacity: pairs of tile and Gaussian that a rendering has room for.
+        view_capacity: Gaussians in view that a rendering has room for.
         dropped_seeds: Gaussians for which the map had no room.
         submaps: Gaussians of far places, which are not rendered now.
         num_submaps: submaps made so far, those that came back among them.
@@ -70,6 +73,7 @@ class MapState:
     times: Float[np.ndarray, "3"] | None
     num_steps: int
     pair_capacity: int
+    view_capacity: int
     dropped_seeds: int
     submaps: tuple[Submap, ...]
     num_submaps: int
@@ -108,6 +112,7 @@ def empty_map_state(config: MappingConfig, *, pixels: int, timed: bool) -> MapSt
         times=np.zeros(3, np.float32) if timed else None,
         num_steps=0,
         pair_capacity=config.pair_capacity or bucket(int(_PAIRS_PER_PIXEL * pixels), steps=2, smallest=1024),
+        view_capacity=bucket(int(_SEEN_PER_PIXEL * pixels), steps=1, smallest=1024),
         dropped_seeds=0,
         submaps=(),
         num_submaps=0,
