@@ -166,31 +166,30 @@ def _alphas(chunk: _Chunk, tile_size: int) -> Float[Array, "b k p"]:
 
 
 def _to_image(
-    tiled: Shaped[Array, "blocks c b p"], blocks: _Blocks, width: int, height: int, tile_size: int
-) -> Shaped[Array, "h w c"]:
+    tiled: Shaped[Array, "c blocks b p"], blocks: _Blocks, width: int, height: int, tile_size: int
+) -> Shaped[Array, "c h w"]:
     """The image whose tiles lie in blocks."""
     columns, rows = tile_grid(width, height, tile_size)
-    channels = tiled.shape[1]
-    tiles = jnp.moveaxis(tiled, 1, 2).reshape(-1, channels, tile_size**2)[blocks.places]
-    grid = tiles.reshape(rows, columns, channels, tile_size, tile_size).transpose(0, 3, 1, 4, 2)
-    return grid.reshape(rows * tile_size, columns * tile_size, channels)[:height, :width]
+    channels = tiled.shape[0]
+    tiles = tiled.reshape(channels, -1, tile_size**2)[:, blocks.places]
+    grid = tiles.reshape(channels, rows, columns, tile_size, tile_size).transpose(0, 1, 3, 2, 4)
+    return grid.reshape(channels, rows * tile_size, columns * tile_size)[:, :height, :width]
 
 
-def _to_tiles(image: Float[Array, "h w c"], blocks: _Blocks, tile_size: int) -> Float[Array, "blocks c b p"]:
+def _to_tiles(image: Float[Array, "c h w"], blocks: _Blocks, tile_size: int) -> Float[Array, "c blocks b p"]:
     """The tiles of an image in blocks, zero beyond the image."""
-    height, width, channels = image.shape
+    channels, height, width = image.shape
     columns, rows = tile_grid(width, height, tile_size)
-    padded = jnp.pad(image, ((0, rows * tile_size - height), (0, columns * tile_size - width), (0, 0)))
-    grid = padded.reshape(rows, tile_size, columns, tile_size, channels).transpose(0, 2, 4, 1, 3)
-    tiles = grid.reshape(rows * columns, channels, tile_size**2)
-    ordered = tiles[blocks.tiles].reshape(*blocks.counts.shape, channels, tile_size**2)
-    return jnp.moveaxis(ordered, 1, 2)
+    padded = jnp.pad(image, ((0, 0), (0, rows * tile_size - height), (0, columns * tile_size - width)))
+    grid = padded.reshape(channels, rows, tile_size, columns, tile_size).transpose(0, 1, 3, 2, 4)
+    tiles = grid.reshape(channels, rows * columns, tile_size**2)
+    return tiles[:, blocks.tiles].reshape(channels, *blocks.counts.shape, tile_size**2)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3, 4))
 def composite(
     table: Float[Array, "n d"], lists: TileLists, width: int, height: int, tile_size: int
-) -> tuple[Float[Array, "{height} {width} d-5"], Int[Array, "{height} {width}"]]:
+) -> tuple[Float[Array, "d-5 {height} {width}"], Int[Array, "{height} {width}"]]:
     """Composite the features of the Gaussians front to back.
 
     Reverse-mode differentiable once, in `table`. Under `vmap`, views are drawn one after the other: together
@@ -204,7 +203,7 @@ def composite(
         tile_size: pixels; static.
 
     Returns:
-        image: (H, W, C + 1) sums of weights times features, and last the sums of the weights.
+        image: (C + 1, H, W) sums of weights times features, and last the sums of the weights.
         passed: (H, W) number of Gaussians at the head of a pixel's list that together let more than half of
             the light through.
     """
@@ -231,7 +230,7 @@ composite.defvjp(_forward, _backward)
 
 def _draw(
     table: Float[Array, "n d"], lists: TileLists, *, width: int, height: int, tile_size: int
-) -> tuple[Float[Array, "h w c"], Int[Array, "h w"], _Blocks]:
+) -> tuple[Float[Array, "c h w"], Int[Array, "h w"], _Blocks]:
     """Both images of `composite`, and the blocks that they were drawn in."""
     columns, _ = tile_grid(width, height, tile_size)
     blocks = _make_blocks(lists, columns, tile_size, table.dtype)
@@ -269,20 +268,20 @@ def _draw(
             jnp.zeros((size, pixels), jnp.int32),
         )
         drawn = jax.lax.while_loop(more, draw, start)[-2:]
-        return images[0].at[block].set(drawn[0]), images[1].at[block, 0].set(drawn[1])
+        return images[0].at[:, block].set(drawn[0]), images[1].at[0, block].set(drawn[1])
 
-    empty = jnp.zeros((count, channels, size, pixels), table.dtype)
-    images = jax.lax.fori_loop(0, count, draw_block, (empty, jnp.zeros_like(empty[:, :1], jnp.int32)))
+    empty = jnp.zeros((channels, count, size, pixels), table.dtype)
+    images = jax.lax.fori_loop(0, count, draw_block, (empty, jnp.zeros_like(empty[:1], jnp.int32)))
     image, passed = (_to_image(tiled, blocks, width, height, tile_size) for tiled in images)
-    return image, passed[..., 0], blocks
+    return image, passed[0], blocks
 
 
 def _walk(
     table: Float[Array, "n d"],
     lists: TileLists,
     blocks: _Blocks,
-    image: Float[Array, "h w c"],
-    cotangent: Float[Array, "h w c"],
+    image: Float[Array, "c h w"],
+    cotangent: Float[Array, "c h w"],
     *,
     width: int,
     height: int,
@@ -291,13 +290,13 @@ def _walk(
     """Gradient by the table: the lists are walked once more, nearest first."""
     count, size = blocks.counts.shape
     # <g, out> of every pixel goes along as one more channel.
-    total = jnp.sum(cotangent * image, axis=-1, keepdims=True)
-    cotangents = _to_tiles(jnp.concatenate([cotangent, total], axis=-1), blocks, tile_size)
+    total = jnp.sum(cotangent * image, axis=0, keepdims=True)
+    cotangents = _to_tiles(jnp.concatenate([cotangent, total]), blocks, tile_size)
     indices = partial(_indices, lists, blocks, past=table.shape[0])
 
     def walk_block(block: Array, gradients: Array) -> Array:
         longest = jnp.max(blocks.counts[block])
-        *by_features, by_alpha, total = cotangents[block]
+        *by_features, by_alpha, total = cotangents[:, block]
         stacked = jnp.stack(by_features, axis=1)
 
         def more(state: tuple[Array, ...]) -> Array:

@@ -92,8 +92,8 @@ def _rasterize(
     images: tuple[Array, Array] = composite(table, lists, width, height, config.tile_size)
     image, passed = images
     return Raster(
-        accumulated=image[..., :-1],
-        alpha=image[..., -1],
+        accumulated=jnp.moveaxis(image[:-1], 0, -1),
+        alpha=image[-1],
         median=_median(passed, lists, width, height, config.tile_size),
         overflow=lists.overflow,
         needed=lists.needed,
