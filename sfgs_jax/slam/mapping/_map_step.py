@@ -31,6 +31,9 @@ _MIN_ALPHA = 0.5
 """Accumulated opacity below which the map's depth says nothing about where its Gaussians should be."""
 _PRIOR_SHARE = 0.1
 """What a gain of 1 counts for, as a share of a view's pixels, so that a chain of views does not drift."""
+_NEW_GAIN = 0.3
+"""Share of a step's own fit in a view's gain. The map's brightness still changes by a percent from step to
+step, and a single fit takes that for the view's."""
 
 
 _About = tuple[Array, Array, Array, Array, Array]
@@ -167,7 +170,7 @@ def compare_with_map(
     """
     rows, in_view = _rows_in_view(params, gaussian_map.gaussians, view, T_world_cam)
     seen = at_rows(gaussian_map, rows).gaussians
-    loss, about = _loss(params, seen, view, T_world_cam, parameters(seen), visible_only=True)
+    loss, about = _loss(params, seen, view, T_world_cam, parameters(seen), step=False)
     return _found(gaussian_map, loss, about, rows, in_view, jnp.zeros(6))
 
 
@@ -221,20 +224,26 @@ def _loss(
     T_world_cam: jaxlie.SE3,
     values: Parameters,
     *,
-    visible_only: bool = False,
+    step: bool = True,
 ) -> tuple[Array, _About]:
-    """Loss of the map with other values of its parameters, and the fields of `MapStep` behind it."""
+    """Loss of the map with other values of its parameters, and the fields of `MapStep` behind it.
+
+    For a step all is drawn, what the view's surface hides too, and the view's gain changes by a share.
+    """
     rgb, depth = seen_by(view, params.camera, params.timing)
     config, valid = RenderConfig(pair_capacity=params.pair_capacity), jnp.asarray(view.valid)
     drawn = with_parameters(gaussians, values)
     # A surface within the margin behind the measured one still counts as that.
-    hidden = depth * (1 + 2 * params.seeding.depth_margin) if visible_only else None
+    hidden = None if step else depth * (1 + 2 * params.seeding.depth_margin)
     shutter = _shutter(params, view)
     out = render(drawn, params.camera, T_world_cam, shutter=shutter, hidden_beyond=hidden, config=config)
     lacking = uncovered(out, depth, params.seeding)
     gain = seed_gain = jnp.ones(3)
     if params.mean_gain is not None:
         gain, seed_gain = _gains(jax.lax.stop_gradient(out), rgb, depth, valid & ~lacking, params.seeding)
+        if step:
+            before = jnp.asarray(view.gain)
+            gain = before * (gain / before) ** _NEW_GAIN
         # Only what tells this view from the others: the map itself keeps their mean.
         out = replace(out, rgb=with_gain(out.rgb, gain / params.mean_gain))
     loss = mapping_loss(out, rgb, depth, valid, params.config)

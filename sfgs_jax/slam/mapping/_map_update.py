@@ -184,6 +184,9 @@ def _with_view(
     mapping: MapState, view: View, camera: Camera, config: MappingConfig
 ) -> tuple[MapState, MapStep]:
     mapping = with_surface_of(mapping, view, camera, config)
+    if mapping.views:
+        # The camera's exposure changes slowly.
+        view = replace(view, gain=mapping.views[-1].gain)
     mapping = replace(mapping, views=(*mapping.views, view))
     mapping, done = step_on_view(mapping, -1, camera, config, learn=config.steps_per_view > 0)
     view = replace(view, gain=np.asarray(done.seed_gain))
