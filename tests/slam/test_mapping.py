@@ -297,6 +297,20 @@ def test_views_of_other_exposures_make_one_map(seeded, frames):
     assert float(told.loss) < 0.5 * float(alike.loss)
 
 
+def test_one_fit_changes_a_gain_by_a_share(seeded):
+    """The view with half the brightness: a comparison says half, a step goes there by a share."""
+    config = seeded.config.mapping
+    config = replace(config, optimisation=replace(config.optimisation, estimate_exposure=True))
+    (view,) = seeded.mapping.views
+    dark = replace(view, rgb=np.asarray(view.rgb) // 2)
+    mapping = replace(seeded.mapping, views=(dark,))
+    _, compared = step_on_view(mapping, 0, seeded.mapping_camera, config, learn=False)
+    stepped, _ = step_on_view(mapping, 0, seeded.mapping_camera, config)
+    fit = np.asarray(compared.gain)
+    np.testing.assert_allclose(fit / view.gain, 0.5, rtol=0.15)
+    np.testing.assert_allclose(stepped.views[0].gain / view.gain, (fit / view.gain) ** 0.1, rtol=0.02)
+
+
 def test_gains_and_corrections_of_frames_lie_between_those_of_the_views():
     log = empty_log()
     for number in range(5):

@@ -31,7 +31,7 @@ _MIN_ALPHA = 0.5
 """Accumulated opacity below which the map's depth says nothing about where its Gaussians should be."""
 _PRIOR_SHARE = 0.1
 """What a gain of 1 counts for, as a share of a view's pixels, so that a chain of views does not drift."""
-_NEW_GAIN = 0.3
+_NEW_GAIN = 0.1
 """Share of a step's own fit in a view's gain. The map's brightness still changes by a percent from step to
 step, and a single fit takes that for the view's."""
 
