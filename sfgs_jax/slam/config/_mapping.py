@@ -152,8 +152,8 @@ class MappingConfig:
     final_steps: int = 1000
     """Map steps over all views after the last frame: the refinement."""
     final_seconds: float = 0.0
-    """Seconds of refinement in place of a number of steps; 0 means `final_steps`. A run with it does not
-    repeat itself to the bit."""
+    """Seconds of refinement in place of a number of steps, compilation left out; 0 means `final_steps`. A run
+    with it does not repeat itself to the bit."""
     first_rate: float = 2.5
     """Factor on the Gaussians' learning rates that the refinement begins with."""
     final_rate: float = 0.1
