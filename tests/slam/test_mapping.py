@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sfgs_jax import Camera, slam
+from sfgs_jax.arrays import bucket
 from sfgs_jax.evaluation import psnr
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import LearningRates, MappingConfig
@@ -307,7 +308,7 @@ def test_one_fit_changes_a_gain_by_a_share(seeded):
     _, compared = step_on_view(mapping, 0, seeded.mapping_camera, config, learn=False)
     stepped, _ = step_on_view(mapping, 0, seeded.mapping_camera, config)
     fit = np.asarray(compared.gain)
-    np.testing.assert_allclose(fit / view.gain, 0.5, rtol=0.15)
+    np.testing.assert_allclose(fit / view.gain, 0.5, rtol=0.2)
     np.testing.assert_allclose(stepped.views[0].gain / view.gain, (fit / view.gain) ** 0.1, rtol=0.02)
 
 
@@ -463,7 +464,7 @@ def test_more_room_for_gaussians_in_view_is_compiled_before_it_is_needed(seeded,
     prepared.result()
 
     compilations.clear()
-    roomy = replace(tight, view_capacity=2 * tight.view_capacity)
+    roomy = replace(tight, view_capacity=bucket(tight.view_capacity + 1, steps=2))
     insert_view(roomy, roomy.views[0], camera, config.mapping)
     assert not compilations
 

@@ -18,6 +18,7 @@ from sfgs_jax.slam.mapping._map_worker import MAX_KEYFRAMES_WAITING as MAX_KEYFR
 from sfgs_jax.slam.mapping._map_worker import InlineMapWorker as InlineMapWorker
 from sfgs_jax.slam.mapping._map_worker import MapWorker as MapWorker
 from sfgs_jax.slam.mapping._map_worker import ThreadedMapWorker as ThreadedMapWorker
+from sfgs_jax.slam.mapping._refinement import prepare_refinement as prepare_refinement
 from sfgs_jax.slam.mapping._refinement import refine_once as refine_once
 from sfgs_jax.slam.mapping._seeding import seed as seed
 from sfgs_jax.slam.mapping._seeding import uncovered as uncovered

@@ -9,7 +9,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import Background, doubled
+from sfgs_jax.arrays import Background, bucket, doubled
 from sfgs_jax.geometry import Camera, Trajectory, se3
 from sfgs_jax.sensors import SensorTiming, with_gain
 from sfgs_jax.slam.config import MappingConfig
@@ -152,7 +152,7 @@ def compile_ahead(
     if needed > pairs * 3 // 4:
         rooms.append((capacity, 2 * pairs, seen))
     if in_view > seen * 3 // 4:
-        rooms.append((capacity, pairs, 2 * seen))
+        rooms.append((capacity, pairs, _view_room(seen + 1)))
     begun = [
         _background.once((*room, camera.shape, config), _use_room, room, mapping, camera, config)
         for room in rooms
@@ -162,6 +162,11 @@ def compile_ahead(
         more = np.repeat(poses[-1:], 2 * keyframes, axis=0)
         begun.append(_background.once((capacity, 2 * keyframes), move, mapping.map, more, more))
     return [future for future in begun if future is not None]
+
+
+def _view_room(count: int) -> int:
+    """Room for so many Gaussians in view: half an octave more when it is short."""
+    return bucket(count, steps=2)
 
 
 def _use_room(room: tuple[int, int, int], mapping: MapState, camera: Camera, config: MappingConfig) -> None:
@@ -284,7 +289,7 @@ def step_on_view(
         mapping = replace(
             mapping,
             pair_capacity=doubled(mapping.pair_capacity, int(done.needed)),
-            view_capacity=doubled(mapping.view_capacity, int(done.in_view)),
+            view_capacity=max(mapping.view_capacity, _view_room(int(done.in_view))),
         )
     if not learn:
         return mapping, done

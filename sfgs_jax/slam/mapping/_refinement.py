@@ -4,6 +4,8 @@ Views come in shuffled epochs. Their poses take part: keypoints and depth leave 
 which an image shows against the map. The learning rates decay, so that map and poses come to rest.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Int
 
@@ -13,8 +15,27 @@ from sfgs_jax.slam.mapping._map_update import step_on_view
 from sfgs_jax.slam.mapping._paging import with_surface_of
 from sfgs_jax.slam.state._map_state import MapState
 
+_TRIED = 8
+"""Views that tell how much room a map needs in which Gaussians came into view after they were taken."""
 _ROUND = 256
 """Steps in which all places have their turn, where they are not in the map at once."""
+
+
+def prepare_refinement(mapping: MapState, camera: Camera, config: MappingConfig, *, seed: int) -> MapState:
+    """The map with the room that its first steps need, and with their programs compiled.
+
+    Both are found by taking the steps, which are then forgotten. Compilation takes as long as many of them.
+
+    Args:
+        mapping: the map and at least one view.
+        camera: of the views.
+        config: settings.
+        seed: of the order of the views.
+    """
+    for number in range(min(_TRIED, len(mapping.views))):
+        stepped, _ = refine_once(mapping, camera, config, number=number, done=0.0, seed=seed)
+        mapping = replace(mapping, pair_capacity=stepped.pair_capacity, view_capacity=stepped.view_capacity)
+    return mapping
 
 
 def refine_once(

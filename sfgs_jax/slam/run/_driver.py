@@ -23,6 +23,7 @@ from sfgs_jax.slam.mapping import (
     ThreadedMapWorker,
     follow_keyframes,
     follow_trajectory,
+    prepare_refinement,
     refine_once,
 )
 from sfgs_jax.slam.run._finished_maps import FinishedMap, maps_of_run
@@ -385,22 +386,24 @@ def refine(run: Run, observer: Observer = _ignore) -> None:
     config = run.config
     if not run.state.mapping.views:
         return
-
-    def refined(done: float) -> MapState:
-        state, number = run.state, run.num_refined
-        mapping, _ = refine_once(
-            state.mapping, state.mapping_camera, config.mapping, number=number, done=done, seed=config.seed
-        )
-        return mapping
-
     if config.mapping.final_seconds and run.refined_share < 1:
-        # The map has grown, and compiling its step takes as long as many steps: that is no refinement.
         with run.stopwatch("compilation"):
-            refined(run.refined_share)
+            state = run.state
+            mapping = prepare_refinement(
+                state.mapping, state.mapping_camera, config.mapping, seed=config.seed
+            )
+        run.advance(state=replace(state, mapping=mapping))
     while (done := run.refined_share) < 1:
         start = time.perf_counter()
         with run.stopwatch("refinement"):
-            mapping = refined(done)
+            mapping, _ = refine_once(
+                run.state.mapping,
+                run.state.mapping_camera,
+                config.mapping,
+                number=run.num_refined,
+                done=done,
+                seed=config.seed,
+            )
         run.advance(
             state=replace(run.state, mapping=mapping),
             num_refined=run.num_refined + 1,
