@@ -63,17 +63,17 @@ class _Rows:
         self._next += self._every
         self.print_row(progress.run)
 
-    def print_row(self, run: Run) -> None:
+    def print_row(self, refined: Run) -> None:
         """Score the map as it is now."""
-        numbers = run.state.log.numbers.tolist()
+        numbers = refined.state.log.numbers.tolist()
         held = [number for number in numbers if is_held_out(number)]
-        views = sorted({view.frame for view in run.state.mapping.views} & set(numbers))
-        figures = [self._scored(run, some) for some in (views, held)]
-        cells = (self._name, f"{run.refinement_ms / 1e3:.0f}", run.num_refined, *figures)
+        views = sorted({view.frame for view in refined.state.mapping.views} & set(numbers))
+        figures = [self._scored(refined, some) for some in (views, held)]
+        cells = (self._name, f"{refined.refinement_ms / 1e3:.0f}", refined.num_refined, *figures)
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
-    def _scored(self, run: Run, numbers: Sequence[int]) -> str:
-        state = run.state
+    def _scored(self, refined: Run, numbers: Sequence[int]) -> str:
+        state = refined.state
         renderer, path = MapRenderer(state.gaussians, state.camera), state.trajectory
         rows = {number: row for row, number in enumerate(state.log.numbers.tolist())}
         gains = np.ones((len(rows), 3)) if state.gains is None else state.gains

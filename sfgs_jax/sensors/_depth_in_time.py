@@ -38,26 +38,24 @@ def depth_in_time(
     height, width = depth.shape
     flat = depth.reshape(-1)
     index = jnp.arange(flat.shape[0], dtype=jnp.int32)
-    row, column = index // width, index % width
-    places = row_places(row.astype(depth.dtype), height)
+    places = row_places((index // width).astype(depth.dtype), height)
     ahead = timing.depth_times(places) - timing.colour_times(places)
 
-    def moved(row: Array, column: Array, z: Array, times: Array) -> Float[Array, "3 N"]:
+    def moved(index: Array, z: Array, times: Array) -> Float[Array, "3 N"]:
         # Column by column: XLA fuses these expressions, and not those of an array of pixels.
-        x = (column - camera.cx) / camera.fx * z
-        return carried(jnp.stack([x, (row - camera.cy) / camera.fy * z, z]), twist, times)
+        u, v = (index % width).astype(z.dtype), (index // width).astype(z.dtype)
+        x, y = (u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z
+        return carried(jnp.stack([x, y, z]), twist, times)
 
     known, found = flat > 0, flat
     for _ in range(_ROUNDS):
-        x, y, z = moved(row, column, jnp.where(known, found, 1), -ahead)
+        x, y, z = moved(index, jnp.where(known, found, 1), -ahead)
         z = jnp.maximum(z, _NEAREST)
-        there = [
-            jnp.round(scale * part / z + centre).astype(jnp.int32)
-            for scale, part, centre in ((camera.fx, x, camera.cx), (camera.fy, y, camera.cy))
-        ]
-        known &= (there[0] >= 0) & (there[0] < width) & (there[1] >= 0) & (there[1] < height)
-        place = jnp.where(known, there[1] * width + there[0], 0)
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        column, row = jnp.round(u).astype(jnp.int32), jnp.round(v).astype(jnp.int32)
+        known &= (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        place = jnp.where(known, row * width + column, 0)
         seen = flat[place]
         known &= seen > 0
-        found = moved(place // width, place % width, jnp.where(known, seen, 1), ahead)[2]
+        found = moved(place, jnp.where(known, seen, 1), ahead)[2]
     return jnp.where(known, found, 0).reshape(height, width)
