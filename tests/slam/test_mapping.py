@@ -19,6 +19,7 @@ from sfgs_jax.slam.mapping import (
     image_shift,
     insert_view,
     optimise_once,
+    prepare_refinement,
     prune,
     refine_once,
     seed,
@@ -506,3 +507,16 @@ def test_what_is_out_of_view_stays_as_it_was(seeded, config):
     still = ~moved
     for one, other in zip(jax.tree.leaves(mapping.map), jax.tree.leaves(after.map), strict=True):
         np.testing.assert_array_equal(np.asarray(one)[still], np.asarray(other)[still])
+
+
+def test_the_refinement_has_its_room_before_its_time_begins(seeded, config, compilations):
+    cramped, camera = replace(seeded.mapping, view_capacity=64), seeded.mapping_camera
+    prepared = prepare_refinement(cramped, camera, config.mapping, seed=0)
+    assert prepared.view_capacity > 64
+    assert prepared.map is cramped.map, "the steps are forgotten"
+    assert prepared.num_steps == cramped.num_steps
+
+    compilations.clear()
+    refined, _ = refine_once(prepared, camera, config.mapping, number=0, done=0.0, seed=0)
+    assert not compilations
+    assert refined.view_capacity == prepared.view_capacity

@@ -16,7 +16,7 @@ from sfgs_jax.slam.mapping._paging import with_surface_of
 from sfgs_jax.slam.state._map_state import MapState
 
 _TRIED = 8
-"""Views that tell how much room a map needs in which Gaussians came into view after they were taken."""
+"""Views that are tried. Gaussians that were set after a view was taken need room too."""
 _ROUND = 256
 """Steps in which all places have their turn, where they are not in the map at once."""
 

@@ -14,7 +14,7 @@ from sfgs_jax.slam.state._submaps import Submap, with_submaps
 _PAIRS_PER_PIXEL = 1.7
 """Room for pairs at first: what views of a furnished room need once they are covered twice over."""
 _SEEN_PER_PIXEL = 0.2
-"""Room for Gaussians in view at first, with which that for pairs goes along."""
+"""Room for Gaussians in view at first, for each pixel of a view."""
 
 
 @pytree
