@@ -14,12 +14,11 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from experiments.recordings import SOURCES
 from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
 from sfgs_jax.evaluation import MapRenderer, psnr_by_protocol
-from sfgs_jax.geometry import Trajectory, is_held_out, se3
+from sfgs_jax.geometry import is_held_out, twists_of
 from sfgs_jax.sensors import RollingShutter, SensorTiming, with_gain
 from sfgs_jax.slam import PRESETS, LearningRates, MappingConfig, Progress, Run, refine, run
 
@@ -77,25 +76,18 @@ class _Rows:
         renderer, path = MapRenderer(state.gaussians, state.camera), state.trajectory
         rows = {number: row for row, number in enumerate(state.log.numbers.tolist())}
         gains = np.ones((len(rows), 3)) if state.gains is None else state.gains
-        found = []
+        twists, times, found = jnp.asarray(twists_of(path), jnp.float32), state.row_times, []
         for number in numbers[:: max(1, len(numbers) // _SCORED)]:
             frame, row = self._recording[number], rows[number]
-            rgb = renderer(path.poses[row], _shutter(path, row, state.row_times)).rgb
+            shutter = None
+            if times is not None:
+                shutter = RollingShutter(twists[row], SensorTiming(*times).colour_readout)
+            rgb = renderer(path.poses[row], shutter).rgb
             shown = with_gain(rgb, jnp.asarray(gains[row], jnp.float32))
             scores = psnr_by_protocol(shown, frame.rgb, frame.depth, frame.mask, rgb)
             found.append([float(scores[name]) for name in ("gs_icp", "gs_icp_exposure")])
         own, fitted = np.mean(found, axis=0)
         return f"{own:.2f} ({fitted:.2f})"
-
-
-def _shutter(path: Trajectory, row: int, times: Float[np.ndarray, "3"] | None) -> RollingShutter | None:
-    """Motion of the camera while it exposed a frame, by the frames beside it."""
-    if times is None:
-        return None
-    before, after = max(row - 1, 0), min(row + 1, len(path) - 1)
-    motion = se3.log(se3.from_matrix(np.linalg.inv(path.poses[before]) @ path.poses[after]))
-    twist = motion / max(path.timestamps[after] - path.timestamps[before], 1e-3)
-    return RollingShutter(jnp.asarray(twist, jnp.float32), SensorTiming(*times).colour_readout)
 
 
 def main(arguments: list[str] | None = None) -> None:

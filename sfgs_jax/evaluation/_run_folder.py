@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import InputError, checked, excerpt, file_text, parsed_json
 from sfgs_jax.datasets import Recording, associate
-from sfgs_jax.geometry import Trajectory, read_tum, se3
+from sfgs_jax.geometry import Trajectory, read_tum, twists_of
 from sfgs_jax.sensors import (
     EXPOSURE_FILE,
     SENSOR_FILE,
@@ -101,7 +101,7 @@ def posed_frames(run_dir: Path, recording: Recording) -> PosedFrames:
         indices=indices,
         poses=trajectory.poses[order],
         keyframes=keyframes,
-        twists=_twists(trajectory)[order],
+        twists=twists_of(trajectory)[order],
         readout=_readout(run_dir / SENSOR_FILE),
         gains=_gains(run_dir / EXPOSURE_FILE, trajectory)[order],
     )
@@ -120,18 +120,6 @@ def _gains(path: Path, trajectory: Trajectory) -> Float[np.ndarray, "n 3"]:
 def _readout(path: Path) -> float | None:
     timing = read_sensors(path).timing if path.exists() else None
     return None if timing is None else float(timing.colour_readout)
-
-
-def _twists(trajectory: Trajectory) -> Float[np.ndarray, "n 6"]:
-    """Motion per second in each camera's own frame, from the pose before it to the pose after it."""
-    count = len(trajectory)
-    if count < 2:
-        return np.zeros((count, 6))
-    before, after = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
-    moved = np.linalg.inv(trajectory.poses[before]) @ trajectory.poses[after]
-    seconds = trajectory.timestamps[after] - trajectory.timestamps[before]
-    # Frames of one time, by stamps to the microsecond, tell no motion.
-    return se3.logs_of(moved) * np.divide(1, seconds, out=np.zeros(count), where=seconds > 0)[:, None]
 
 
 def _frames_at(

@@ -37,5 +37,6 @@ from sfgs_jax.geometry._trajectory import format_kitti as format_kitti
 from sfgs_jax.geometry._trajectory import format_tum as format_tum
 from sfgs_jax.geometry._trajectory import parse_tum as parse_tum
 from sfgs_jax.geometry._trajectory import read_tum as read_tum
+from sfgs_jax.geometry._trajectory import twists_of as twists_of
 from sfgs_jax.geometry._trajectory_covariance import format_covariances as format_covariances
 from sfgs_jax.geometry._trajectory_covariance import read_covariances as read_covariances

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from sfgs_jax.arrays import InputError, checked, described, excerpt, file_text
+from sfgs_jax.geometry import se3
 from sfgs_jax.geometry._rotations import quaternions_from_rotations, rotations_from_quaternions
 
 # Seconds and metres; a larger number is damage.
@@ -113,3 +115,20 @@ def format_kitti(trajectory: Trajectory) -> str:
     """The trajectory as KITTI text: a line of the 3 x 4 matrix by rows for each pose, without time stamps."""
     rows = trajectory.poses[:, :3].reshape(-1, 12)
     return "".join(" ".join(f"{value:.9g}" for value in row) + "\n" for row in rows)
+
+
+@checked
+def twists_of(trajectory: Trajectory) -> Float[np.ndarray, "n 6"]:
+    """Motion per second in each camera's own frame, from the pose before it to the pose after it.
+
+    Args:
+        trajectory: poses in order of time. A single one has no motion, nor have poses of one time.
+    """
+    count = len(trajectory)
+    if count < 2:
+        return np.zeros((count, 6))
+    before, after = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
+    moved = np.linalg.inv(trajectory.poses[before]) @ trajectory.poses[after]
+    seconds = trajectory.timestamps[after] - trajectory.timestamps[before]
+    # Frames of one time, by stamps to the microsecond, tell no motion.
+    return se3.logs_of(moved) * np.divide(1, seconds, out=np.zeros(count), where=seconds > 0)[:, None]

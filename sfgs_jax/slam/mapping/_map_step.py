@@ -30,7 +30,7 @@ _BETA2, _EPSILON = 0.999, 1e-15
 _MIN_ALPHA = 0.5
 """Accumulated opacity below which the map's depth says nothing about where its Gaussians should be."""
 _PRIOR_SHARE = 0.1
-"""What a gain of 1 counts for, as a share of a view's pixels, so that a chain of views does not drift."""
+"""Weight of a gain of 1, as a share of a view's pixels, so that a chain of views does not drift."""
 _NEW_GAIN = 0.1
 """Share of a step's own fit in a view's gain. The map's brightness still changes by a percent from step to
 step, and a single fit takes that for the view's."""
@@ -166,7 +166,7 @@ def compare_with_map(
 ) -> MapStep:
     """All that `map_step` finds but no step: the map comes back as it was. Arguments as of `map_step`.
 
-    What the view's surface hides is not drawn, which in rooms behind rooms is most of the map.
+    Gaussians that the view's surface hides are not drawn: in rooms behind rooms they are most of the map.
     """
     rows, in_view = _rows_in_view(params, gaussian_map.gaussians, view, T_world_cam)
     seen = at_rows(gaussian_map, rows).gaussians
@@ -290,12 +290,9 @@ def _adam(
         moved[name] = jnp.where(here, values[name] - rate * step, values[name])
         first[name] = jnp.where(here, m, gaussian_map.first_moment[name])
         second[name] = jnp.where(here, v, gaussian_map.second_moment[name])
-    return GaussianMap(
-        gaussians=with_parameters(gaussian_map.gaussians, moved),
-        first_moment=first,
-        second_moment=second,
-        updates=updates,
-        keyframes=gaussian_map.keyframes,
+    gaussians = with_parameters(gaussian_map.gaussians, moved)
+    return replace(
+        gaussian_map, gaussians=gaussians, first_moment=first, second_moment=second, updates=updates
     )
 
 

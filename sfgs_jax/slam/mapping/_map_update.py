@@ -83,8 +83,8 @@ def follow_trajectory(mapping: MapState, log: FrameLog, trajectory: Trajectory) 
     """The map with its views where the trajectory has their frames.
 
     While a run lasts, a view stays where it is in its keyframe. Later frames between two keyframes share the
-    correction of the motion between them, so at the end their views do too. What a view's image told about
-    its pose stays beside that.
+    correction of the motion between them, so at the end their views do too. The
+    correction by a view's image stays beside that.
 
     Args:
         mapping: the map, which knows where the keyframes are.

@@ -1,5 +1,7 @@
 """The map: Gaussians of fixed capacity with the moments of their optimiser."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -93,12 +95,9 @@ def with_rows(gaussian_map: GaussianMap, rows: Int[Array, " v"], new: GaussianMa
         return parameters(m.gaussians), m.first_moment, m.second_moment, m.updates
 
     values, first, second, updates = jax.tree.map(put, stepped(gaussian_map), stepped(new))
-    return GaussianMap(
-        gaussians=with_parameters(gaussian_map.gaussians, values),
-        first_moment=first,
-        second_moment=second,
-        updates=updates,
-        keyframes=gaussian_map.keyframes,
+    gaussians = with_parameters(gaussian_map.gaussians, values)
+    return replace(
+        gaussian_map, gaussians=gaussians, first_moment=first, second_moment=second, updates=updates
     )
 
 
