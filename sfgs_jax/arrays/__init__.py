@@ -30,6 +30,7 @@ from sfgs_jax.arrays._errors import FrameError as FrameError
 from sfgs_jax.arrays._errors import InputError as InputError
 from sfgs_jax.arrays._excerpts import excerpt as excerpt
 from sfgs_jax.arrays._excerpts import printable as printable
+from sfgs_jax.arrays._heap import keep_freed_memory as keep_freed_memory
 from sfgs_jax.arrays._heap import return_free_memory as return_free_memory
 from sfgs_jax.arrays._input_files import can_be_path as can_be_path
 from sfgs_jax.arrays._input_files import file_bytes as file_bytes

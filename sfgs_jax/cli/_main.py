@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from sfgs_jax import __version__
-from sfgs_jax.arrays import InputError
+from sfgs_jax.arrays import InputError, keep_freed_memory
 from sfgs_jax.cli._batch import batch_command
 from sfgs_jax.cli._check import check_command
 from sfgs_jax.cli._doctor import doctor_command
@@ -66,6 +66,7 @@ def main(arguments: list[str] | None = None, *, commands: Mapping[str, Command] 
     if name not in commands:
         print(f"sfgs-jax: there is no command {name!r}; choose from {', '.join(commands)}.", file=sys.stderr)
         return EXIT_INPUT
+    keep_freed_memory()
     try:
         # A polite kill saves the work so far, as Ctrl-C does.
         with interruptible():

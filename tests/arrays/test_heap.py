@@ -1,5 +1,6 @@
-"""Free memory is given back."""
+"""Free memory is kept for the next call, and given back when asked."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -26,3 +27,26 @@ def test_memory_between_blocks_in_use_is_given_back():
     assert return_free_memory()
     assert resident_mb() < before - 60
     assert sum(block.sum() for block in kept) == 40 * 8192
+
+
+PAGES_OF_SECOND_BLOCK = """
+import resource
+from sfgs_jax.arrays import keep_freed_memory
+
+def faults():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+
+if {keep}:
+    assert keep_freed_memory()
+bytearray(100 << 20)
+before = faults()
+bytearray(100 << 20)
+print(faults() - before)
+"""
+
+
+@pytest.mark.parametrize(("keep", "least", "most"), [(False, 20_000, 10**9), (True, 0, 2_000)])
+def test_a_large_block_takes_the_pages_of_the_one_before(keep: bool, least: int, most: int):
+    code = PAGES_OF_SECOND_BLOCK.format(keep=keep)
+    taken = int(subprocess.check_output([sys.executable, "-c", code], text=True))
+    assert least <= taken <= most

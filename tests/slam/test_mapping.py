@@ -497,6 +497,25 @@ def test_a_view_that_lacks_room_for_gaussians_gets_it(seeded, config, learn: boo
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("lacking", ["pair_capacity", "view_capacity"])
+def test_a_step_on_an_incomplete_rendering_leaves_the_map(seeded, lacking: str):
+    mapping, view = seeded.mapping, seeded.mapping.views[0]
+    room = {"pair_capacity": mapping.pair_capacity, "view_capacity": mapping.view_capacity, lacking: 64}
+    params = slam.MapParams(
+        camera=seeded.mapping_camera,
+        timing=None,
+        mean_gain=None,
+        rate=jnp.ones(()),
+        config=seeded.config.mapping.optimisation,
+        seeding=seeded.config.mapping.seeding,
+        **room,
+    )
+    done = slam.map_step(params, mapping.map, view, seeded.T_world_cam)
+    assert int(done.overflow) > 0
+    for one, other in zip(jax.tree.leaves(mapping.map), jax.tree.leaves(done.map), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_what_is_out_of_view_stays_as_it_was(seeded, config):
     mapping, camera = seeded.mapping, seeded.mapping_camera
     away = replace(mapping.views[0], T_keyframe_cam=se3.exp(jnp.asarray([0.0, 0, 0, 0, 0.4, 0])))
