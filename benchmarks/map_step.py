@@ -59,6 +59,7 @@ def view_of(scene: Scene) -> View:
         frame=0,
         gain=np.ones(3, np.float32),
         correction=np.zeros(6, np.float32),
+        extra=False,
     )
 
 

@@ -18,7 +18,7 @@ from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import with_corrected_depth
 from sfgs_jax.slam.keyframes import advance_graph, with_new_keyframes
-from sfgs_jax.slam.mapping import becomes_view, map_frame, view_of
+from sfgs_jax.slam.mapping import becomes_extra_view, becomes_view, map_frame, view_of
 from sfgs_jax.slam.state import (
     SlamState,
     Stages,
@@ -107,13 +107,14 @@ def follow(
     look, brighter = look_of(state, frame, keyframe, T_keyframe_cam)
     log = state.log.with_frame(time, number, keyframe, T_keyframe_cam, covariance, brighter)
     view = None
-    if becomes_view(state, log, frame, new_keyframe=info.new_keyframe):
+    due = becomes_view(state, log, frame, new_keyframe=info.new_keyframe)
+    if due or becomes_extra_view(state.mapping, number, state.last_view, state.config.mapping):
         factor = mapping_factor(state.camera, state.config.mapping)
         corrected, twist = with_corrected_depth(params, frame), state.tracker.last_motion.twist
-        view = view_of(corrected, factor, keyframe, T_keyframe_cam, number, twist)
-    last_view = state.last_view if view is None else number
+        view = view_of(corrected, factor, keyframe, T_keyframe_cam, number, twist, extra=not due)
+    last_view = number if due else state.last_view
     state = replace(state, log=log, last_view=last_view, last_look=look)
     covariance = covariances_of(log, graph, slice(-1, None))[0]
     info = info._replace(T_world_cam=state.T_world_cam, covariance=covariance)
-    info = info._replace(new_view=view is not None, loop_closed=closed)
+    info = info._replace(new_view=due, loop_closed=closed)
     return Followed(state, info, view)

@@ -320,7 +320,7 @@ def test_gains_and_corrections_of_frames_lie_between_those_of_the_views():
     image = np.zeros((1, 1, 3), np.uint8)
     views = tuple(
         View(image, np.zeros((1, 1), np.float32), np.ones((1, 1), bool), np.zeros(6, np.float32), 0,
-             se3.identity(), number, np.full(3, gain, np.float32), np.full(6, gain / 1000, np.float32))
+             se3.identity(), number, np.full(3, gain, np.float32), np.full(6, gain / 1000, np.float32), False)
         for number, gain in ((3, 1.5), (1, 0.5))
     )  # fmt: skip
     # Of times 0, 1, 4, 9 and 16: gains are interpolated as logarithms.
@@ -401,6 +401,24 @@ def test_refinement_sees_every_view_once_an_epoch_and_comes_to_rest(refined):
     )
     moved = [jnp.abs(after.map.gaussians.sh - mapping.map.gaussians.sh).max() for after in (first, last)]
     assert float(moved[1]) == pytest.approx(config.final_rate * float(moved[0]), rel=0.05)
+
+
+def test_extra_views_take_the_place_of_the_view_before_them_in_turns(refined):
+    state, _, _ = refined
+    kinds = [False, True, True, False, False, True]
+    views = tuple(replace(state.mapping.views[0], frame=i, extra=extra) for i, extra in enumerate(kinds))
+    seen = []
+    for number in range(3 * 6):
+        before = replace(state.mapping, views=views)
+        after, _ = refine_once(
+            before, state.mapping_camera, state.config.mapping, number=number, done=0.5, seed=1
+        )
+        turned = [
+            not np.array_equal(a.correction, b.correction) for a, b in zip(views, after.views, strict=True)
+        ]
+        seen.append(turned.index(True))
+    epochs = [sorted(seen[i : i + 3]) for i in range(0, len(seen), 3)]
+    assert epochs == [[0, 3, 4], [1, 3, 5], [2, 3, 4], [0, 3, 5], [1, 3, 4], [2, 3, 5]]
 
 
 def test_the_larger_map_is_compiled_before_it_is_needed(seeded, config, compilations):

@@ -36,7 +36,7 @@ def test_tracks_the_room_from_the_first_camera(room, frames, config):
     assert [keyframe.frame for keyframe in state.graph.keyframes] == [
         i for i, info in enumerate(infos) if info.new_keyframe
     ]
-    assert [view.frame for view in state.mapping.views] == [
+    assert [view.frame for view in state.mapping.views if not view.extra] == [
         i for i, info in enumerate(infos) if info.new_view
     ]
     np.testing.assert_allclose(state.trajectory.poses[:, :3, 3], truth[:, :3, 3], atol=0.03)
@@ -121,7 +121,7 @@ def test_nothing_compiles_after_the_warm_up(room, frames, config, compilations, 
 def test_views_come_at_least_at_the_interval(room, frames, config):
     regular = replace(config, mapping=replace(config.mapping, view_interval=3))
     state, _ = follow(room, frames, regular)
-    indices = [view.frame for view in state.mapping.views]
+    indices = [view.frame for view in state.mapping.views if not view.extra]
     assert max(np.diff([*indices, len(frames)])) <= 3
 
 
@@ -205,7 +205,8 @@ def test_an_image_that_has_moved_on_is_a_view(room, frames, config):
 
 def test_a_keyframe_is_no_view_where_one_was_just_taken(room, frames, config):
     """The camera rests, which makes no keyframes, and then is elsewhere."""
-    regular = replace(config, mapping=replace(config.mapping, view_interval=5, max_view_shift=10.0))
+    mapping = replace(config.mapping, view_interval=5, max_view_shift=10.0, extra_interval=0)
+    regular = replace(config, mapping=mapping)
     for number, views in ((6, [0, 5]), (8, [0, 5, 8])):
         state, infos = follow(room, [frames[0]] * number, regular)
         assert [info.new_keyframe for info in infos] == [True] + [False] * (number - 1)
@@ -213,6 +214,27 @@ def test_a_keyframe_is_no_view_where_one_was_just_taken(room, frames, config):
         state, info = slam.step(state, frames[3])
         assert info.new_keyframe
         assert [view.frame for view in state.mapping.views] == views
+
+
+def test_frames_between_views_are_kept_for_the_refinement_alone(room, frames, config):
+    """Every second one, but not each eighth, and none once the images fill their memory."""
+    mapping = replace(config.mapping, view_interval=20, max_view_shift=10.0, extra_interval=2)
+    still = [replace(frames[0], timestamp=0.1 * number) for number in range(10)]
+    state, infos = follow(room, still, replace(config, mapping=mapping))
+    assert [(view.frame, view.extra) for view in state.mapping.views] == [
+        (0, False), (2, True), (6, True), (8, True),
+    ]  # fmt: skip
+    assert [info.new_view for info in infos] == [True] + [False] * 9
+    alone, _ = follow(room, still[:1], replace(config, mapping=mapping))
+    assert state.mapping.num_steps == alone.mapping.num_steps
+    for one, other in zip(*map(jax.tree.leaves, (state.mapping.map, alone.mapping.map)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    full = replace(mapping, views_in_memory=3, extra_interval=1)
+    state, _ = follow(room, still, replace(config, mapping=full))
+    assert [view.frame for view in state.mapping.views] == [0, 1, 2]
+    short = replace(mapping, view_interval=5, extra_interval=1, views_per_keyframe=1)
+    state, _ = follow(room, still, replace(config, mapping=short))
+    assert [view.frame for view in state.mapping.views] == [0, 1, 2, 3], "the camera stays"
 
 
 def test_a_frame_of_something_else_is_lost_and_the_next_is_found_again(room, frames, config, rng):

@@ -59,7 +59,7 @@ def first_state(recording: SyntheticRecording) -> SlamState:
     )
     rgb = np.round(255 * np.asarray(frame.rgb)).astype(np.uint8)
     depth = np.asarray(frame.depth)
-    view = View(rgb, depth, depth > 0, still, 0, se3.identity(), 0, np.ones(3, np.float32), still)
+    view = View(rgb, depth, depth > 0, still, 0, se3.identity(), 0, np.ones(3, np.float32), still, False)
     gaussian_map = eqx.tree_at(lambda m: m.gaussians, state.mapping.map, gaussians_of(recording, frame))
     mapping = replace(state.mapping, map=gaussian_map, views=(view,), keyframe_poses=graph.poses)
     return replace(state, graph=graph, mapping=mapping)

@@ -136,6 +136,9 @@ class MappingConfig:
     view_interval: int = 8
     """Frames between two views. A keyframe is a view too, unless an ordinary view was taken less than half
     an interval ago."""
+    extra_interval: int = 2
+    """Frames between two images that are kept for the refinement, views among them, while `views_in_memory`
+    has room; 0 keeps views alone. An extra one is not compared with the map when it comes."""
     views_per_keyframe: int = 16
     """Most views that belong to one keyframe. It bounds what a camera that stays in a place takes. A camera
     that is carried through rooms has up to 8."""
@@ -185,7 +188,9 @@ class MappingConfig:
         check_counts(self, 0, "pair_capacity")
         check_counts(self, 1, "view_interval", "views_per_keyframe", "prune_interval")
         check_counts(self, self.capacity, "max_capacity")
-        check_counts(self, 0, "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps")
+        check_counts(
+            self, 0, "extra_interval", "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps"
+        )
         check_range(self, 0, 1, "newest_share", "prune_opacity", "final_rate")
         check_range(self, 0, math.inf, "first_rate")
         check_range(self, 0, math.inf, "final_seconds")

@@ -22,6 +22,7 @@ from sfgs_jax.slam.mapping._refinement import prepare_refinement as prepare_refi
 from sfgs_jax.slam.mapping._refinement import refine_once as refine_once
 from sfgs_jax.slam.mapping._seeding import seed as seed
 from sfgs_jax.slam.mapping._seeding import uncovered as uncovered
+from sfgs_jax.slam.mapping._view_choice import becomes_extra_view as becomes_extra_view
 from sfgs_jax.slam.mapping._view_choice import becomes_view as becomes_view
 from sfgs_jax.slam.mapping._view_choice import image_shift as image_shift
 from sfgs_jax.slam.mapping._view_choice import view_is_due as view_is_due

@@ -56,7 +56,7 @@ def map_frame(
             mapping, loss = insert_view(mapping, view, camera, config)
     with stages("mapping"):
         # The first step on a new view was part of its insertion.
-        on_new = max(config.steps_per_view - 1, 0) if view is not None else 0
+        on_new = max(config.steps_per_view - 1, 0) if view is not None and not view.extra else 0
         for i in range(on_new + config.steps_per_frame):
             share = 1.0 if i < on_new else config.newest_share
             mapping, loss = optimise_once(mapping, camera, config, newest_share=share, seed=state.config.seed)
@@ -109,7 +109,8 @@ def insert_view(
     """Keep a view, and set Gaussians where the map lacks its surface. The map grows where it is full.
 
     A rendering of the view, which is that of the first step on it, tells where surface is missing. Before the
-    map or a rendering's room is full, the programs of a larger one are compiled in the background.
+    map or a rendering's room is full, the programs of a larger one are compiled in the background. An extra
+    view is only kept.
 
     Args:
         mapping: the map, which knows of the view's keyframe.
@@ -118,8 +119,10 @@ def insert_view(
         config: settings.
 
     Returns:
-        The map state, and the loss of the map before.
+        The map state, and the loss of the map before; NaN of an extra view.
     """
+    if view.extra:
+        return replace(mapping, views=(*mapping.views, _exposed_as_last(view, mapping))), float("nan")
     mapping, done = _with_view(mapping, view, camera, config)
     compile_ahead(mapping, camera, config, needed=int(done.needed), in_view=int(done.in_view))
     return mapping, float(done.loss)
@@ -189,12 +192,9 @@ def _with_view(
     mapping: MapState, view: View, camera: Camera, config: MappingConfig
 ) -> tuple[MapState, MapStep]:
     mapping = with_surface_of(mapping, view, camera, config)
-    if mapping.views:
-        # The camera's exposure changes slowly.
-        view = replace(view, gain=mapping.views[-1].gain)
-    mapping = replace(mapping, views=(*mapping.views, view))
+    mapping = replace(mapping, views=(*mapping.views, _exposed_as_last(view, mapping)))
     mapping, done = step_on_view(mapping, -1, camera, config, learn=config.steps_per_view > 0)
-    view = replace(view, gain=np.asarray(done.seed_gain))
+    view = replace(mapping.views[-1], gain=np.asarray(done.seed_gain))
     mapping = replace(mapping, views=(*mapping.views[:-1], view))
     T_world_cam, keyframe = _pose(view, mapping), jnp.asarray(view.keyframe, jnp.int32)
     rgb, depth = seen_by(view, camera, _timing(mapping))
@@ -213,6 +213,11 @@ def _with_view(
         dropped_seeds=mapping.dropped_seeds + int(dropped),
     )
     return mapping, done
+
+
+def _exposed_as_last(view: View, mapping: MapState) -> View:
+    """The view with the newest one's gain: a camera's exposure changes slowly."""
+    return replace(view, gain=mapping.views[-1].gain) if mapping.views else view
 
 
 def optimise_once(

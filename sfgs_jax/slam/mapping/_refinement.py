@@ -1,7 +1,9 @@
 """Refinement: map steps over all views once the recording has ended.
 
-Views come in shuffled epochs. Their poses take part: keypoints and depth leave errors of a millimetre,
-which an image shows against the map. The learning rates decay, so that map and poses come to rest.
+Views come in shuffled epochs. Where extra ones were kept after a view, they take its place in turns: else
+such places would have more steps than the others. The views' poses take part: keypoints and depth leave
+errors of a millimetre, which an image shows against the map. The learning rates decay, so that map and poses
+come to rest.
 """
 
 from dataclasses import replace
@@ -54,8 +56,11 @@ def refine_once(
     Returns:
         The map state, and the loss of the map before.
     """
-    epoch, place = divmod(number, len(mapping.views))
-    order = np.random.default_rng([seed, epoch]).permutation(len(mapping.views))
+    ordinary = np.flatnonzero([not view.extra for view in mapping.views])
+    epoch, place = divmod(number, len(ordinary))
+    # Each with the extra ones that follow it.
+    sharing = np.diff(np.append(ordinary, len(mapping.views)))
+    order = np.random.default_rng([seed, epoch]).permutation(ordinary + epoch % sharing)
     if mapping.num_submaps:
         order = _place_by_place(mapping, order)
         mapping = with_surface_of(mapping, mapping.views[order[place]], camera, config)

@@ -20,7 +20,7 @@ from sfgs_jax.geometry import (
 )
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.state._frame_log import FrameLog
-from sfgs_jax.slam.state._map_state import View
+from sfgs_jax.slam.state._map_state import MapState, View
 from sfgs_jax.slam.state._slam_state import SlamState
 
 
@@ -78,9 +78,28 @@ def becomes_view(state: SlamState, log: FrameLog, frame: Frame, *, new_keyframe:
     return due and _has_room(state.mapping.views, int(log.keyframes[-1]), state.config.mapping)
 
 
+def becomes_extra_view(mapping: MapState, number: int, last_view: int, config: MappingConfig) -> bool:
+    """True if a frame that is no view is kept for the refinement alone.
+
+    Where views are far apart the map fits them better than what lies between. Extra ones cost the memory of
+    their images and no time while the run lasts, so they are kept as long as all images are in memory. A
+    camera that stays, and takes no views, keeps none.
+
+    Args:
+        mapping: the map before the frame.
+        number: of the frame.
+        last_view: number of the newest frame that became a view.
+        config: settings.
+    """
+    since = number - last_view
+    if not config.extra_interval or since % config.extra_interval or since >= config.view_interval:
+        return False
+    return 0 < len(mapping.views) < config.views_in_memory and not is_held_out(number)
+
+
 def _has_room(views: tuple[View, ...], keyframe: int, config: MappingConfig) -> bool:
     """True if a keyframe may have one more view. So views grow with the area seen, not with the time."""
-    return sum(view.keyframe == keyframe for view in views) < config.views_per_keyframe
+    return sum(view.keyframe == keyframe and not view.extra for view in views) < config.views_per_keyframe
 
 
 def view_is_due(
@@ -124,6 +143,8 @@ def view_of(
     T_keyframe_cam: jaxlie.SE3,
     number: int,
     twist: Float[Array | np.ndarray, "6"],
+    *,
+    extra: bool = False,
 ) -> View:
     """A view of a frame.
 
@@ -134,10 +155,11 @@ def view_of(
         T_keyframe_cam: its pose there.
         number: of the frame.
         twist: motion of the camera per second in its own frame; zeros where it is not known.
+        extra: whether it is kept for the refinement alone.
     """
     rgb, depth, valid = _reduce(frame.rgb, frame.depth, frame.mask, factor)
     gain, correction = np.ones(3, np.float32), np.zeros(6, np.float32)
-    return View(rgb, depth, valid, twist, keyframe, T_keyframe_cam, number, gain, correction)
+    return View(rgb, depth, valid, twist, keyframe, T_keyframe_cam, number, gain, correction, extra)
 
 
 @partial(jax.jit, static_argnums=3)

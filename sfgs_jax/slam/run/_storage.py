@@ -36,7 +36,7 @@ from sfgs_jax.slam.state import (
 )
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 22
+FORMAT_VERSION = 23
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -322,7 +322,7 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
     )
     none = np.zeros((0, 0), np.float32)
     image, gain = np.zeros((0, 0, 3), np.uint8), motion[:3]
-    view = View(image, none, none > 0, motion[:6], 0, se3.identity(), 0, gain, motion[:6])
+    view = View(image, none, none > 0, motion[:6], 0, se3.identity(), 0, gain, motion[:6], False)
     graph = replace(
         state.graph,
         keyframes=(keyframe,) * counts["keyframes"],
