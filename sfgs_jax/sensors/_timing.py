@@ -55,15 +55,20 @@ class SensorTiming(eqx.Module):
 
 
 class RollingShutter(eqx.Module):
-    """Motion of a camera while it exposes an image row after row. Gradients reach both fields.
+    """Motion of a camera while it exposes an image row after row. Gradients reach all fields.
 
     Attributes:
         twist: (6,) motion per second in the camera's own frame, translation first; 0 for a camera at rest.
         readout: from the first row to the last, seconds; 0 for a global shutter.
+        exposure: for which a row gathers light, seconds, half of it before its time: the motion blurs the
+            image. None for an image without blur.
     """
 
     twist: Float[Array, "6"]
     readout: Float[Array, ""] = eqx.field(converter=_as_float)
+    exposure: Float[Array, ""] | None = eqx.field(
+        converter=lambda value: None if value is None else _as_float(value), default=None
+    )
 
 
 @checked

@@ -11,10 +11,14 @@ The entries of Σ⁻¹ would not be.
 Under a rolling shutter a Gaussian is seen where it lies when its row is exposed. The row is the one that it
 would have without motion: it moves by a few pixels, which changes the time by some ten microseconds.
 
+While a row gathers light a Gaussian moves along b, and its image is the mean over that. It has the covariance
+Σ + b bᵀ / 12 and the weight √(det Σ / det(Σ + b bᵀ / 12)), so b / √12 is a fourth column of M. The covariance
+is exact, and the shape about right while b is not much longer than the Gaussian.
+
 All products are written out as sums of elementwise ones, which run in float32 on every device.
 
 Source: Zwicker et al., EWA splatting, 2002; Kerbl et al., 3D Gaussian splatting, 2023; Seiskari et al.,
-Gaussian splatting on the move, 2024 (rolling shutter).
+Gaussian splatting on the move, 2024 (rolling shutter, motion blur).
 """
 
 import math
@@ -29,7 +33,7 @@ from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.arrays import checked, dot, map_used_rows
 from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.sensors import RollingShutter, carried, row_places
+from sfgs_jax.sensors import RollingShutter, carried, row_places, velocities
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._spherical_harmonics import sh_colours
@@ -174,19 +178,14 @@ def _project_rows(
         x, y, z = _when_exposed(x, y, z, camera, shutter)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     axes = rotation_columns(quaternion)
-    m1, m2 = _image_axes(x, y, z, axes, scale, camera, R_cam_world)
+    slopes_uv = _clipped_slopes(x / z, y / z, camera)
+    m1, m2 = _image_axes(slopes_uv, z, axes, scale, camera, R_cam_world)
 
-    raw_uu, raw_vv, uv = dot(m1, m1), dot(m2, m2), dot(m1, m2)
-    minors = [m1[i] * m2[j] - m1[j] * m2[i] for i, j in ((0, 1), (1, 2), (2, 0))]
-    raw_determinant = dot(minors, minors)
-    determinant = raw_determinant + LOW_PASS * (raw_uu + raw_vv) + LOW_PASS**2
-    uu, vv = raw_uu + LOW_PASS, raw_vv + LOW_PASS
-    p = jnp.sqrt(vv / determinant)
-
-    log_opacities = jax.nn.log_sigmoid(logits)
-    if config.antialiased:
-        kept = jnp.maximum(raw_determinant / determinant, 1e-12)
-        log_opacities = log_opacities + 0.5 * jnp.log(kept)
+    blur = None
+    if shutter is not None and shutter.exposure is not None:
+        blur = _blur(jnp.stack([x, y, z]), slopes_uv, camera, shutter.twist, shutter.exposure)
+    uu, vv, uv, determinant, log_weight = _covariance(m1, m2, blur, antialiased=config.antialiased)
+    log_opacities = jax.nn.log_sigmoid(logits) + log_weight
 
     reach = 2 * (log_opacities - math.log(MIN_ALPHA))
     inside = [
@@ -197,6 +196,7 @@ def _project_rows(
         )
     ]
     visible = used & (reach >= 0) & inside[0] & inside[1]
+    p = jnp.sqrt(vv / determinant)
     whitening = [p, -p * uv / vv, 1 / jnp.sqrt(vv)]
     slopes: list[Array] = []
     if config.surface_depth:
@@ -220,13 +220,71 @@ def _when_exposed(
     return x, y, jnp.maximum(moved, z / 2)
 
 
+def _covariance(
+    m1: list[Array], m2: list[Array], blur: tuple[Array, Array] | None, *, antialiased: bool
+) -> tuple[Array, Array, Array, Array, Array | float]:
+    """Σ by its entries uu, vv and uv and its determinant, and the logarithm of the image's weight."""
+    uu, vv, uv = dot(m1, m1), dot(m2, m2), dot(m1, m2)
+    minors = [m1[i] * m2[j] - m1[j] * m2[i] for i, j in ((0, 1), (1, 2), (2, 0))]
+    raw_determinant = dot(minors, minors)
+    determinant = _widened(raw_determinant, uu, vv)
+    # An image of this determinant has the Gaussian's own opacity. Spread farther it is fainter.
+    opaque = raw_determinant if antialiased else determinant
+    if blur is not None:
+        b1, b2 = blur
+        minors = [m1[i] * b2 - b1 * m2[i] for i in range(3)]
+        uu, vv, uv = uu + b1 * b1, vv + b2 * b2, uv + b1 * b2
+        determinant = _widened(raw_determinant + dot(minors, minors), uu, vv)
+    log_weight: Array | float = 0.0
+    if antialiased or blur is not None:
+        log_weight = 0.5 * jnp.log(jnp.maximum(opaque / determinant, 1e-12))
+    return uu + LOW_PASS, vv + LOW_PASS, uv, determinant, log_weight
+
+
+def _widened(determinant: Array, uu: Array, vv: Array) -> Array:
+    """Determinant of a covariance after the low pass."""
+    return determinant + LOW_PASS * (uu + vv) + LOW_PASS**2
+
+
+def _blur(
+    points: Float[Array, "3 n"],
+    slopes: tuple[Array, Array],
+    camera: Camera,
+    twist: Float[Array, "6"],
+    exposure: Float[Array, ""],
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Standard deviation of the image's place along u and v while its row gathers light, with signs."""
+    x, y, z = velocities(points, twist)
+    share = exposure / (math.sqrt(12) * points[2])
+    return camera.fx * share * (x - slopes[0] * z), camera.fy * share * (y - slopes[1] * z)
+
+
 def _columns(vectors: Float[Array, "n d"]) -> list[Array]:
     return [vectors[:, i] for i in range(vectors.shape[1])]
 
 
+def _clipped_slopes(
+    x: Float[Array, " n"], y: Float[Array, " n"], camera: Camera
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Slopes x / z and y / z of the rays at which J is taken."""
+    # Pixels cover half a unit around their centres, so the image spans [-0.5, size - 0.5].
+    margin_u = _VIEW_MARGIN * camera.width / (2 * camera.fx)
+    margin_v = _VIEW_MARGIN * camera.height / (2 * camera.fy)
+    slope_u = jnp.clip(
+        x,
+        -(camera.cx + 0.5) / camera.fx - margin_u,
+        (camera.width - 0.5 - camera.cx) / camera.fx + margin_u,
+    )
+    slope_v = jnp.clip(
+        y,
+        -(camera.cy + 0.5) / camera.fy - margin_v,
+        (camera.height - 0.5 - camera.cy) / camera.fy + margin_v,
+    )
+    return slope_u, slope_v
+
+
 def _image_axes(
-    x: Float[Array, " n"],
-    y: Float[Array, " n"],
+    slopes: tuple[Array, Array],
     z: Float[Array, " n"],
     axes: list[list[Array]],
     scale: list[Array],
@@ -234,19 +292,7 @@ def _image_axes(
     R_cam_world: Float[Array, "3 3"],
 ) -> tuple[list[Array], list[Array]]:
     """Rows of M = J R S: the image's motion in u and in v along each axis of the Gaussian, by one sigma."""
-    # Pixels cover half a unit around their centres, so the image spans [-0.5, size - 0.5].
-    margin_u = _VIEW_MARGIN * camera.width / (2 * camera.fx)
-    margin_v = _VIEW_MARGIN * camera.height / (2 * camera.fy)
-    slope_u = jnp.clip(
-        x / z,
-        -(camera.cx + 0.5) / camera.fx - margin_u,
-        (camera.width - 0.5 - camera.cx) / camera.fx + margin_u,
-    )
-    slope_v = jnp.clip(
-        y / z,
-        -(camera.cy + 0.5) / camera.fy - margin_v,
-        (camera.height - 0.5 - camera.cy) / camera.fy + margin_v,
-    )
+    slope_u, slope_v = slopes
     right, down, forward = R_cam_world
     # The rows of J times the rotation to camera axes.
     j1 = [camera.fx / z * (right[i] - slope_u * forward[i]) for i in range(3)]

@@ -1,4 +1,4 @@
-"""Renderings of a rolling shutter against one rendering for each row, and its gradients."""
+"""Renderings of a rolling shutter against one for each row and each moment, and its gradients."""
 
 from dataclasses import replace
 
@@ -42,19 +42,34 @@ def test_a_camera_at_rest_or_a_global_shutter_changes_nothing():
     wanted = draw(None)
     np.testing.assert_array_equal(draw(RollingShutter(jnp.zeros(6), READOUT)), wanted)
     np.testing.assert_array_equal(draw(RollingShutter(TWIST, 0.0)), wanted)
+    np.testing.assert_array_equal(draw(RollingShutter(TWIST, 0.0, 0.0)), wanted)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_an_exposed_image_is_the_mean_of_its_moments(antialiased: bool):
+    scene, camera, T = fields()
+    config = replace(CONFIG, antialiased=antialiased)
+    draw = jax.jit(lambda pose, shutter: render(scene, camera, pose, shutter=shutter, config=config).rgb)
+    exposure = 0.03
+    moments = [draw(se3.compose(T, se3.exp(exposure * t * TWIST)), None) for t in np.arange(-12, 13) / 25]
+    exact = np.asarray(jnp.stack(moments)).mean(axis=0)
+    blurred, sharp = (np.asarray(draw(T, RollingShutter(TWIST, 0.0, e))) for e in (exposure, None))
+    assert np.mean(abs(blurred - exact)) < 0.3 * np.mean(abs(sharp - exact))
+    # Light that is spread is not lost.
+    assert blurred.sum() == pytest.approx(exact.sum(), rel=0.01)
 
 
 @pytest.mark.usefixtures("float64")
-def test_gradients_by_motion_and_readout_agree_with_finite_differences(rng):
+def test_gradients_by_motion_and_times_agree_with_finite_differences(rng):
     scene, camera, T = fields(jnp.float64)
     target = jnp.asarray(rng.normal(size=(*camera.shape, 3)))
 
     def loss(values):
-        shutter = RollingShutter(values[:6], values[6])
+        shutter = RollingShutter(values[:6], values[6], values[7])
         return jnp.sum(render(scene, camera, T, shutter=shutter, config=CONFIG).rgb * target)
 
     both = jax.jit(jax.value_and_grad(loss), compiler_options=EXACT)
-    at = jnp.concatenate([TWIST.astype(jnp.float64), jnp.asarray([READOUT])])
+    at = jnp.concatenate([TWIST.astype(jnp.float64), jnp.asarray([READOUT, 0.02])])
     _, gradient = both(at)
     step = 1e-6
     for i, found in enumerate(gradient):
