@@ -217,7 +217,7 @@ def test_a_keyframe_is_no_view_where_one_was_just_taken(room, frames, config):
 
 
 def test_frames_between_views_are_kept_for_the_refinement_alone(room, frames, config):
-    """Every second one, but not each eighth, and none once the images fill their memory."""
+    """Every second one, but not each eighth, and none beyond the number asked for."""
     mapping = replace(config.mapping, view_interval=20, max_view_shift=10.0, extra_interval=2)
     still = [replace(frames[0], timestamp=0.1 * number) for number in range(10)]
     state, infos = follow(room, still, replace(config, mapping=mapping))
@@ -229,7 +229,7 @@ def test_frames_between_views_are_kept_for_the_refinement_alone(room, frames, co
     assert state.mapping.num_steps == alone.mapping.num_steps
     for one, other in zip(*map(jax.tree.leaves, (state.mapping.map, alone.mapping.map)), strict=True):
         np.testing.assert_array_equal(one, other)
-    full = replace(mapping, views_in_memory=3, extra_interval=1)
+    full = replace(mapping, extra_until=3, extra_interval=1)
     state, _ = follow(room, still, replace(config, mapping=full))
     assert [view.frame for view in state.mapping.views] == [0, 1, 2]
     short = replace(mapping, view_interval=5, extra_interval=1, views_per_keyframe=1)

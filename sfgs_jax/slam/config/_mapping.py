@@ -137,8 +137,10 @@ class MappingConfig:
     """Frames between two views. A keyframe is a view too, unless an ordinary view was taken less than half
     an interval ago."""
     extra_interval: int = 2
-    """Frames between two images that are kept for the refinement, views among them, while `views_in_memory`
-    has room; 0 keeps views alone. An extra one is not compared with the map when it comes."""
+    """Frames between two images that are kept for the refinement, views among them; 0 keeps views alone. An
+    extra one is not compared with the map when it comes."""
+    extra_until: int = 128
+    """Views, extra ones among them, beyond which no more extra ones are kept."""
     views_per_keyframe: int = 16
     """Most views that belong to one keyframe. It bounds what a camera that stays in a place takes. A camera
     that is carried through rooms has up to 8."""
@@ -189,7 +191,14 @@ class MappingConfig:
         check_counts(self, 1, "view_interval", "views_per_keyframe", "prune_interval")
         check_counts(self, self.capacity, "max_capacity")
         check_counts(
-            self, 0, "extra_interval", "views_in_memory", "steps_per_frame", "steps_per_view", "final_steps"
+            self,
+            0,
+            "extra_interval",
+            "extra_until",
+            "views_in_memory",
+            "steps_per_frame",
+            "steps_per_view",
+            "final_steps",
         )
         check_range(self, 0, 1, "newest_share", "prune_opacity", "final_rate")
         check_range(self, 0, math.inf, "first_rate")

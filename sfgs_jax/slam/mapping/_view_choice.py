@@ -81,9 +81,9 @@ def becomes_view(state: SlamState, log: FrameLog, frame: Frame, *, new_keyframe:
 def becomes_extra_view(mapping: MapState, number: int, last_view: int, config: MappingConfig) -> bool:
     """True if a frame that is no view is kept for the refinement alone.
 
-    Where views are far apart the map fits them better than what lies between. Extra ones cost the memory of
-    their images and no time while the run lasts, so they are kept as long as all images are in memory. A
-    camera that stays, and takes no views, keeps none.
+    A map fits views that are far apart better than what lies between them. Extra ones cost no time while the
+    run lasts, but the memory of their images, so their number is bounded. A camera that stays, and takes no
+    views, keeps none.
 
     Args:
         mapping: the map before the frame.
@@ -94,7 +94,7 @@ def becomes_extra_view(mapping: MapState, number: int, last_view: int, config: M
     since = number - last_view
     if not config.extra_interval or since % config.extra_interval or since >= config.view_interval:
         return False
-    return 0 < len(mapping.views) < config.views_in_memory and not is_held_out(number)
+    return 0 < len(mapping.views) < config.extra_until and not is_held_out(number)
 
 
 def _has_room(views: tuple[View, ...], keyframe: int, config: MappingConfig) -> bool:
