@@ -54,12 +54,16 @@ class SeedingConfig:
     thickness: float = 0.3
     """Standard deviation of a new Gaussian across the surface, as a share of that along it."""
     max_depth: float = 12.0
-    """Depth beyond which no Gaussians are set, metres."""
+    """Depth beyond which no Gaussians are set while the recording lasts, metres."""
+    filled_opacity: float = 0.5
+    """Opacity of the Gaussians that the refinement sets where no view has measured depth; with 0 it sets
+    none."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         check_counts(self, 1, "min_cell", "max_cell")
         check_range(self, 0, 1, "min_alpha", "colour_tolerance")
+        check_range(self, 0, 0.99, "filled_opacity")
         check_range(self, 0, math.inf, "depth_margin")
         check_positive(self, "opacity", "scale", "thickness", "max_depth")
         doublings = self.max_cell // self.min_cell

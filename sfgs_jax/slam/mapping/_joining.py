@@ -2,18 +2,17 @@
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from sfgs_jax.arrays import doubled
 from sfgs_jax.geometry import Camera
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.mapping._shared_surface import in_the_exposure_of, shared_surface
+from sfgs_jax.slam.mapping._map_exposure import brightened, in_the_exposure_of
+from sfgs_jax.slam.mapping._shared_surface import shared_surface
 from sfgs_jax.slam.state._gaussian_map import GaussianMap, empty_map, move
 from sfgs_jax.slam.state._map_state import MapState
-from sfgs_jax.splatting import rgb_to_sh, sh_to_rgb
 
 
 def joined_views(mapping: MapState, other: MapState, shift: int) -> MapState:
@@ -56,16 +55,8 @@ def with_lacking_gaussians(
     means = np.asarray(moved.gaussians.means)
     mapping, shared, brighter = shared_surface(mapping, places, means, camera, config)
     lacking = np.asarray(moved.gaussians.valid) & ~shared
-    together = _together(mapping.map, _brightened(moved, brighter), lacking, first, config.capacity)
+    together = _together(mapping.map, brightened(moved, brighter), lacking, first, config.capacity)
     return in_the_exposure_of(replace(mapping, map=together), places, brighter)
-
-
-def _brightened(gaussian_map: GaussianMap, factor: Float[np.ndarray, "3"]) -> GaussianMap:
-    sh = np.asarray(gaussian_map.gaussians.sh) * factor.astype(np.float32)
-    # The coefficient of degree 0 is a colour less its middle.
-    colour = sh_to_rgb(np.asarray(gaussian_map.gaussians.sh)[:, 0]) * factor
-    sh[:, 0] = rgb_to_sh(colour)
-    return eqx.tree_at(lambda m: m.gaussians.sh, gaussian_map, sh)
 
 
 def _together(

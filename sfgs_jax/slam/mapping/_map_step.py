@@ -36,8 +36,8 @@ _NEW_GAIN = 0.1
 step, and a single fit takes that for the view's."""
 
 
-_About = tuple[Array, Array, Array, Array, Array]
-"""Fields of `MapStep` that come with the loss: missing, gain, seed_gain, overflow, needed."""
+_About = tuple[Array, Array, Array, Array, Array, Array]
+"""Fields of `MapStep` that come with the loss: missing, depth, gain, seed_gain, overflow, needed."""
 
 
 def mapping_loss(
@@ -93,6 +93,7 @@ class MapStep(NamedTuple):
         map: after the step.
         loss: before it.
         missing: (h, w) pixels whose surface the map lacked before it.
+        depth: (h, w) metres: the view's own, where it has none the map's; 0 where the map is transparent too.
         gain: of the view's colours against the map's; ones if they count as exposed alike.
         seed_gain: the same for the colours of new Gaussians, where the map is still transparent.
         overflow: pairs and Gaussians in view that did not fit. Where it is not 0 the rendering was
@@ -105,6 +106,7 @@ class MapStep(NamedTuple):
     map: GaussianMap
     loss: Float[Array, ""]
     missing: Bool[Array, "h w"]
+    depth: Float[Array, "h w"]
     gain: Float[Array, "3"]
     seed_gain: Float[Array, "3"]
     overflow: Int[Array, ""]
@@ -209,11 +211,12 @@ def _found(
     in_view: Int[Array, ""],
     pose_gradient: Float[Array, "6"],
 ) -> MapStep:
-    missing, gain, seed_gain, overflow, needed = about
+    missing, depth, gain, seed_gain, overflow, needed = about
     return MapStep(
         map=after,
         loss=loss,
         missing=missing,
+        depth=depth,
         gain=gain,
         seed_gain=seed_gain,
         overflow=overflow + jnp.maximum(in_view - rows.shape[0], 0),
@@ -253,7 +256,8 @@ def _loss(
         # Only what tells this view from the others: the map itself keeps their mean.
         out = replace(out, rgb=with_gain(out.rgb, gain / params.mean_gain))
     loss = mapping_loss(out, rgb, depth, valid, params.config)
-    return loss, (lacking, gain, seed_gain, out.overflow, out.needed)
+    known = jnp.where(depth > 0, depth, jnp.where(lacking, 0, out.depth))
+    return loss, (lacking, known, gain, seed_gain, out.overflow, out.needed)
 
 
 def _gains(

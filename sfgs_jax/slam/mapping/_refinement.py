@@ -1,7 +1,8 @@
 """Refinement: map steps over all views once the recording has ended.
 
 Views come in shuffled epochs. Where extra ones were kept after a view, they take its place in turns: else
-such places would have more steps than the others. The views' poses take part: keypoints and depth leave
+such places would have more steps than the others. At its first turn a view fills what the map lacks: all that
+ordinary views have measured is in it by then. The views' poses take part: keypoints and depth leave
 errors of a millimetre, which an image shows against the map. The learning rates decay, so that map and poses
 come to rest.
 """
@@ -13,12 +14,16 @@ from jaxtyping import Int
 
 from sfgs_jax.geometry import Camera
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.mapping._map_update import step_on_view
 from sfgs_jax.slam.mapping._paging import with_surface_of
+from sfgs_jax.slam.mapping._view_insertion import fill
+from sfgs_jax.slam.mapping._view_step import step_on_view
+from sfgs_jax.slam.state._gaussian_map import grow
 from sfgs_jax.slam.state._map_state import MapState
 
 _TRIED = 8
 """Views that are tried. Gaussians that were set after a view was taken need room too."""
+_ALMOST_FULL = 7 / 8
+"""Share of the map's slots in use, beyond which it grows before the refinement."""
 _ROUND = 256
 """Steps in which all places have their turn, where they are not in the map at once."""
 
@@ -26,7 +31,8 @@ _ROUND = 256
 def prepare_refinement(mapping: MapState, camera: Camera, config: MappingConfig, *, seed: int) -> MapState:
     """The map with the room that its first steps need, and with their programs compiled.
 
-    Both are found by taking the steps, which are then forgotten. Compilation takes as long as many of them.
+    A map that is almost full has no room for what is filled, so it grows. Room for pairs and for Gaussians
+    in view is found by taking the steps, which are then forgotten. Compilation takes as long as many of them.
 
     Args:
         mapping: the map and at least one view.
@@ -34,6 +40,10 @@ def prepare_refinement(mapping: MapState, camera: Camera, config: MappingConfig,
         config: settings.
         seed: of the order of the views.
     """
+    capacity = len(mapping.map.updates)
+    most = min(config.max_capacity, config.gaussians_in_memory)
+    if np.mean(mapping.map.gaussians.valid) > _ALMOST_FULL and 2 * capacity <= most:
+        mapping = replace(mapping, map=grow(mapping.map))
     for number in range(min(_TRIED, len(mapping.views))):
         stepped, _ = refine_once(mapping, camera, config, number=number, done=0.0, seed=seed)
         mapping = replace(mapping, pair_capacity=stepped.pair_capacity, view_capacity=stepped.view_capacity)
@@ -64,11 +74,18 @@ def refine_once(
     if mapping.num_submaps:
         order = _place_by_place(mapping, order)
         mapping = with_surface_of(mapping, mapping.views[order[place]], camera, config)
-    decay = config.final_rate**done
+    view, decay = int(order[place]), config.final_rate**done
     mapping, stepped = step_on_view(
-        mapping, int(order[place]), camera, config, rate=config.first_rate * decay, view_rate=decay
+        mapping, view, camera, config, rate=config.first_rate * decay, view_rate=decay
     )
+    if _is_first(view, epoch, ordinary):
+        mapping = fill(mapping, view, stepped, camera, config)
     return mapping, float(stepped.loss)
+
+
+def _is_first(view: int, epoch: int, ordinary: Int[np.ndarray, " o"]) -> bool:
+    """True in the epoch in which a view takes its first turn: that of its place after its ordinary view."""
+    return bool(epoch == view - ordinary[np.searchsorted(ordinary, view, side="right") - 1])
 
 
 def _place_by_place(mapping: MapState, order: Int[np.ndarray, " v"]) -> Int[np.ndarray, " v"]:

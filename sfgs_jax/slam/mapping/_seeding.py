@@ -29,7 +29,8 @@ def uncovered(
         depth: of the view, metres along z; 0 where it is missing.
         config: settings.
     """
-    return (rendered.alpha < config.min_alpha) | (rendered.depth > depth * (1 + config.depth_margin))
+    behind = (depth > 0) & (rendered.depth > depth * (1 + config.depth_margin))
+    return (rendered.alpha < config.min_alpha) | behind
 
 
 def _tangent_frames(normals: Float[Array, "n 3"], points: Float[Array, "n 3"]) -> Float[Array, "n 3 3"]:

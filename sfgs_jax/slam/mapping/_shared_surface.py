@@ -1,6 +1,5 @@
 """Surface that two maps have in common, and how much brighter one of them has it."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam.config import MappingConfig
-from sfgs_jax.slam.mapping._map_update import step_on_view
+from sfgs_jax.slam.mapping._view_step import step_on_view
 from sfgs_jax.slam.state._map_state import MapState, View
 
 _NEAREST = 0.05
@@ -57,21 +56,6 @@ def shared_surface(
         brighter += count * (np.log(np.asarray(view.gain)) - np.log(np.asarray(done.gain)))
         pixels += count
     return SharedSurface(mapping, 2 * had > shown, np.exp(brighter / max(pixels, 1)))
-
-
-def in_the_exposure_of(mapping: MapState, places: range, brighter: Float[np.ndarray, "3"]) -> MapState:
-    """The map whose views have the gains that go with its colours.
-
-    Args:
-        mapping: before.
-        places: of the views whose gains went with other colours.
-        brighter: (3,) factor from these colours to the map's.
-    """
-    views = list(mapping.views)
-    for place in places:
-        gain = np.asarray(views[place].gain)
-        views[place] = replace(views[place], gain=(gain / brighter).astype(gain.dtype))
-    return replace(mapping, views=tuple(views))
 
 
 def _seen(

@@ -23,6 +23,7 @@ from sfgs_jax.slam.mapping import (
     ThreadedMapWorker,
     follow_keyframes,
     follow_trajectory,
+    in_the_mean_exposure,
     prepare_refinement,
     refine_once,
 )
@@ -365,6 +366,7 @@ def _finish(run: Run, worker: MapWorker) -> None:
     mapping = _moved(worker.stop(), state)
     if mapping.views:
         mapping = follow_trajectory(mapping, state.log, trajectory_of(state.log, state.graph))
+        mapping = in_the_mean_exposure(mapping)
     run.advance(state=replace(state, mapping=mapping), is_finished=True)
 
 

@@ -32,7 +32,7 @@ class View:
         frame: its number in its source.
         gain: (3,) of each channel against the map's colours, as last fitted; see `sensors.fitted_gain`.
         correction: (6,) tangent by which its image has moved its pose, on the right; see `corrections_of`.
-        extra: whether it is kept for the refinement alone, and sets no Gaussians.
+        extra: whether it is kept for the refinement alone, and sets no Gaussians before that.
     """
 
     rgb: UInt8[Array | np.ndarray, "h w 3"]
