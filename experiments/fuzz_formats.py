@@ -198,6 +198,7 @@ def _run_files() -> dict[str, _File]:
             lambda path: judged(sensors.read_sensors(path)),
         ),
         "exposure.txt": ("exposure.txt", b"# t r g b\n0.0 1.0 1.1 0.9\n0.1 1.0 1.0 1.0\n", _gains),
+        "background.txt": ("background.txt", b"# r g b\n" + b"0.1 -0.2 0.3\n" * 9, _background),
         "frames.csv": ("frames.csv", _frames().encode(), read_frames),
         "trajectory.txt": ("trajectory.txt", TUM.encode(), lambda path: judged(read_tum(path).poses)),
         "trajectory_covariance.txt": (
@@ -272,6 +273,10 @@ def _config(path: Path) -> None:
     for value in jax.tree.leaves(dataclasses.asdict(config)):
         if isinstance(value, float) and not np.isfinite(value):
             raise Garbage("a setting is not finite")
+
+
+def _background(path: Path) -> None:
+    judged(splatting.read_background(path))
 
 
 def _gains(path: Path) -> None:

@@ -37,12 +37,15 @@ from sfgs_jax.cli._run_camera import camera_like, run_camera
 from sfgs_jax.datasets.files import depth_units
 from sfgs_jax.geometry import Camera, Trajectory, format_tum, orbit, read_tum, smoothed
 from sfgs_jax.splatting import (
+    BACKGROUND_FILE,
     Gaussians,
     RenderConfig,
     Renderer,
     camera_normals,
     load_map,
+    read_background,
     unit_normals,
+    with_background,
 )
 
 _FRAMES_PER_SECOND = 30.0
@@ -81,8 +84,9 @@ class RenderArguments:
     """New place of the recording, which knows the camera, if it has moved since the run."""
     fov: float | None = None
     """Horizontal field of view, degrees. None takes that of the recording, or 60."""
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Red, green and blue behind the map, each from 0 to 1."""
+    background: tuple[float, float, float] | None = None
+    """Red, green and blue behind the map, each from 0 to 1. None takes the run's own
+    along a trajectory, and black around a turntable."""
     near: float = 0.1
     """Least depth of the Gaussians drawn, metres. Greater values cut a room open for a view from outside."""
     depth: bool = False
@@ -109,7 +113,7 @@ class RenderArguments:
         check_range(self, -89, 89, "elevation")
         if self.fov is not None:
             check_range(self, 1, 170, "fov")
-        if not all(0 <= level <= 1 for level in self.background):
+        if self.background is not None and not all(0 <= level <= 1 for level in self.background):
             raise InputError(
                 f"The setting background must be three numbers from 0 to 1, not {self.background}."
             )
@@ -236,11 +240,16 @@ def _draw(
 ) -> Iterator[dict[str, Shaped[np.ndarray, "h w *c"]]]:
     """Pictures by their kinds, pose after pose."""
     render = Renderer(RenderConfig(near=options.near, surface_depth=options.depth))
-    background = jnp.asarray(options.background, jnp.float32)
+    colour = None if options.background is None else jnp.asarray(options.background, jnp.float32)
+    own, behind = options.path / BACKGROUND_FILE, None
+    if colour is None and options.orbit is None and own.is_file():
+        behind = jnp.asarray(read_background(own), jnp.float32)
     far: float | None = None
     for pose in trajectory.poses:
         features = camera_normals(gaussians, pose) if options.normals else None
-        output = render(gaussians, camera, pose, background, features=features)
+        output = render(gaussians, camera, pose, colour, features=features)
+        if behind is not None:
+            output = with_background(output, behind, camera, jnp.asarray(pose, jnp.float32))
         pictures: dict[str, Shaped[np.ndarray, "h w *c"]] = {"rgb": rgb_levels(np.asarray(output.rgb))}
         opaque = np.asarray(output.alpha) > _OPAQUE
         if output.surface_depth is not None:

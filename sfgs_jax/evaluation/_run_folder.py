@@ -19,6 +19,7 @@ from sfgs_jax.sensors import (
     read_sensors,
     with_gain,
 )
+from sfgs_jax.splatting import BACKGROUND_FILE, read_background
 
 SAME_TIME_S = 1e-5
 """Time stamps this close are of one frame: trajectory files hold them to the microsecond."""
@@ -35,6 +36,7 @@ class PosedFrames:
         twists: (k, 6) motion of the camera per second in its own frame, between the neighbours of each frame.
         readout: from the first row of a colour image to its last, seconds; None if the run did not ask.
         gains: (k, 3) of each channel of these frames against the map's colours; see `sensors.fitted_gain`.
+        background: colours behind the map, see `splatting.fitted_background`; None if the run has none.
     """
 
     indices: Int[np.ndarray, " k"]
@@ -43,6 +45,7 @@ class PosedFrames:
     twists: Float[np.ndarray, "k 6"]
     readout: float | None
     gains: Float[np.ndarray, "k 3"]
+    background: Float[np.ndarray, "9 3"] | None
 
     def shutter(self, place: int) -> RollingShutter | None:
         """The camera's motion while it exposed a frame.
@@ -104,7 +107,12 @@ def posed_frames(run_dir: Path, recording: Recording) -> PosedFrames:
         twists=twists_of(trajectory)[order],
         readout=_readout(run_dir / SENSOR_FILE),
         gains=_gains(run_dir / EXPOSURE_FILE, trajectory)[order],
+        background=_background(run_dir / BACKGROUND_FILE),
     )
+
+
+def _background(path: Path) -> Float[np.ndarray, "9 3"] | None:
+    return read_background(path) if path.exists() else None
 
 
 def _gains(path: Path, trajectory: Trajectory) -> Float[np.ndarray, "n 3"]:

@@ -1,6 +1,8 @@
 """Differentiable Gaussian splatting: rendering with gradients to every input, image losses, files."""
 
 from sfgs_jax.splatting import reference as reference
+from sfgs_jax.splatting._background import fitted_background as fitted_background
+from sfgs_jax.splatting._background import with_background as with_background
 from sfgs_jax.splatting._binning import TileLists as TileLists
 from sfgs_jax.splatting._binning import bin_into_tiles as bin_into_tiles
 from sfgs_jax.splatting._capacity import pair_capacity as pair_capacity
@@ -24,8 +26,10 @@ from sfgs_jax.splatting._rendering import render as render
 from sfgs_jax.splatting._sorting import sort_by_tile_and_depth as sort_by_tile_and_depth
 from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh as rgb_to_sh
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb as sh_to_rgb
+from sfgs_jax.splatting.files import BACKGROUND_FILE as BACKGROUND_FILE
 from sfgs_jax.splatting.files import coloured_points as coloured_points
 from sfgs_jax.splatting.files import contents_of as contents_of
+from sfgs_jax.splatting.files import format_background as format_background
 from sfgs_jax.splatting.files import load_coloured_points as load_coloured_points
 from sfgs_jax.splatting.files import load_gltf as load_gltf
 from sfgs_jax.splatting.files import load_map as load_map
@@ -33,6 +37,7 @@ from sfgs_jax.splatting.files import load_ply as load_ply
 from sfgs_jax.splatting.files import load_splat as load_splat
 from sfgs_jax.splatting.files import load_spz as load_spz
 from sfgs_jax.splatting.files import map_file as map_file
+from sfgs_jax.splatting.files import read_background as read_background
 from sfgs_jax.splatting.files import save_gltf as save_gltf
 from sfgs_jax.splatting.files import save_ply as save_ply
 from sfgs_jax.splatting.files import save_points as save_points

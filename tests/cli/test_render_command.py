@@ -11,6 +11,7 @@ import pytest
 
 from sfgs_jax.cli import main
 from sfgs_jax.geometry import read_tum
+from sfgs_jax.splatting import format_background, rgb_to_sh
 from tests.cli.walls import RED, way, write_run
 
 SIZE = ("--width", "40", "--height", "30")
@@ -95,6 +96,20 @@ def test_a_turntable_looks_at_the_middle_from_everywhere(run_folder, tmp_path):
     np.testing.assert_allclose(back[15, 20], 255 * RED, atol=3)
     # The wall is thin from the side, and the background is behind it.
     np.testing.assert_allclose(side[15, 5], [0, 0, 255])
+
+
+def test_along_the_trajectory_the_runs_own_background_shows(tmp_path):
+    run = write_run(tmp_path, source=None)
+    blue = np.zeros((9, 3))
+    blue[0] = rgb_to_sh(np.asarray([0.0, 0.0, 1.0]))
+    (run / "background.txt").write_text(format_background(blue))
+    corners = []
+    for name, words in (("own", []), ("given", ["--background", "0", "1", "0"]), ("turn", ["--orbit", "1"])):
+        out = tmp_path / name
+        view = ["--out", str(out), "--quiet", "--fov", "150", *SIZE]
+        assert main(["render", str(run), *view, *words]) == 0
+        corners.append(cv2.imread(str(out / "rgb" / "000000.png"))[0, 0, ::-1].tolist())
+    assert corners == [[0, 0, 255], [0, 255, 0], [0, 0, 0]]
 
 
 def test_the_camera_is_the_recordings(tmp_path):

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from sfgs_jax.arrays import FrameError, InputError
-from sfgs_jax.evaluation import PROTOCOLS, evaluate_run
-from sfgs_jax.geometry import Trajectory, format_tum, read_tum
+from sfgs_jax.evaluation import PROTOCOLS, MapRenderer, evaluate_run
+from sfgs_jax.geometry import Camera, Trajectory, format_tum, read_tum
 from sfgs_jax.sensors import format_gains
+from sfgs_jax.splatting import format_background, load_ply
+from tests.evaluation.fabricated_run import path
 
 
 def frames_by_protocol(every, splatam, views, held_out):
@@ -154,6 +156,25 @@ def test_gains_of_other_frames_are_refused(run):
         evaluate_run(folder, recording)
     (folder / "exposure.txt").write_text("1.0 0.5 -1 1\n")
     with pytest.raises(InputError, match="not finite and positive"):
+        evaluate_run(folder, recording)
+
+
+def test_the_background_of_a_run_shows_where_its_map_has_nothing(run):
+    """The recording shows a grey wall there, as the background does."""
+    folder, recording = run
+    holes = Camera(12.0, 12.0, 31.5, 23.5, width=64, height=48)
+    render, frames = MapRenderer(load_ply(folder / "map.ply"), holes), []
+    for place, pose in enumerate(path().poses):
+        output = render(pose)
+        share = np.clip(1 - 2 * np.asarray(output.alpha), 0, 1)[..., None]
+        rgb = np.clip(np.asarray(output.rgb) + 0.5 * share, 0, 1)
+        frames.append(dataclasses.replace(recording.frames[place], rgb=rgb, depth=np.array(output.depth)))
+    recording = dataclasses.replace(recording, frames=frames, camera=holes)
+    without = evaluate_run(folder, recording)["psnr"]["all"]
+    (folder / "background.txt").write_text(format_background(np.zeros((9, 3))))
+    assert without < 10 < 70 < evaluate_run(folder, recording)["psnr"]["all"]
+    (folder / "background.txt").write_text("0.5 0.5\n")
+    with pytest.raises(InputError, match=r"background.txt"):
         evaluate_run(folder, recording)
 
 

@@ -70,7 +70,7 @@ def evaluate_images(
     used = np.isin(np.arange(len(recording)), posed.keyframes)
     perceptual = _evenly(members[LPIPS_PROTOCOL], max_lpips_frames)
     places = {number: place for place, number in enumerate(posed.indices.tolist())}
-    render = MapRenderer(gaussians, recording.camera)
+    render = MapRenderer(gaussians, recording.camera, posed.background)
     figures = ImageFigures()
     for place, frame in prefetch(Selection(recording, chosen, max_depth=None)):
         index = chosen[place]

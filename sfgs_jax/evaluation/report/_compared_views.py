@@ -52,7 +52,7 @@ def compared_views(
         count: most views that are evenly spaced.
         worst: positions in the recording of the frames to show besides.
     """
-    render = MapRenderer(gaussians, recording.camera)
+    render = MapRenderer(gaussians, recording.camera, posed.background)
     last = len(posed.indices) - 1
     views = []
     even = np.linspace(0, last, min(count, last + 1)).round().astype(int)

@@ -36,8 +36,8 @@ _NEW_GAIN = 0.1
 step, and a single fit takes that for the view's."""
 
 
-_About = tuple[Array, Array, Array, Array, Array, Array]
-"""Fields of `MapStep` that come with the loss: missing, depth, gain, seed_gain, overflow, needed."""
+_About = tuple[Array, Array, Array, Array, Array, Array, Array]
+"""Fields of `MapStep` that come with the loss: missing, empty, depth, gain, seed_gain, overflow, needed."""
 
 
 def mapping_loss(
@@ -93,6 +93,7 @@ class MapStep(NamedTuple):
         map: after the step.
         loss: before it.
         missing: (h, w) pixels whose surface the map lacked before it.
+        empty: (h, w) pixels of these where the map shows no surface at all, not even farther behind.
         depth: (h, w) metres: the view's own, where it has none the map's; 0 where the map is transparent too.
         gain: of the view's colours against the map's; ones if they count as exposed alike.
         seed_gain: the same for the colours of new Gaussians, where the map is still transparent.
@@ -106,6 +107,7 @@ class MapStep(NamedTuple):
     map: GaussianMap
     loss: Float[Array, ""]
     missing: Bool[Array, "h w"]
+    empty: Bool[Array, "h w"]
     depth: Float[Array, "h w"]
     gain: Float[Array, "3"]
     seed_gain: Float[Array, "3"]
@@ -211,11 +213,12 @@ def _found(
     in_view: Int[Array, ""],
     pose_gradient: Float[Array, "6"],
 ) -> MapStep:
-    missing, depth, gain, seed_gain, overflow, needed = about
+    missing, empty, depth, gain, seed_gain, overflow, needed = about
     return MapStep(
         map=after,
         loss=loss,
         missing=missing,
+        empty=empty,
         depth=depth,
         gain=gain,
         seed_gain=seed_gain,
@@ -256,8 +259,9 @@ def _loss(
         # Only what tells this view from the others: the map itself keeps their mean.
         out = replace(out, rgb=with_gain(out.rgb, gain / params.mean_gain))
     loss = mapping_loss(out, rgb, depth, valid, params.config)
-    known = jnp.where(depth > 0, depth, jnp.where(lacking, 0, out.depth))
-    return loss, (lacking, known, gain, seed_gain, out.overflow, out.needed)
+    empty = out.alpha < params.seeding.min_alpha
+    known = jnp.where(depth > 0, depth, jnp.where(empty, 0, out.depth))
+    return loss, (lacking, empty, known, gain, seed_gain, out.overflow, out.needed)
 
 
 def _gains(

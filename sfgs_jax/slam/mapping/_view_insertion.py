@@ -137,11 +137,11 @@ def fill(mapping: MapState, number: int, done: MapStep, camera: Camera, config: 
     rgb, depth = seen_by(view, camera, timing_of(mapping))
     rgb = with_gain(rgb, 1 / done.seed_gain)
     if view.extra:
-        mapping = _seeded(mapping, view, rgb, depth, done.missing, camera, config, seeding)
+        mapping = _seeded(mapping, view, rgb, depth, done.empty, camera, config, seeding)
     if not seeding.filled_opacity:
         return mapping
     measured = (depth > 0) & (depth < seeding.max_depth)
-    missing = done.missing & jnp.asarray(view.valid) & ~measured
+    missing = done.empty & jnp.asarray(view.valid) & ~measured
     guessed = replace(
         seeding, min_cell=seeding.max_cell, opacity=seeding.filled_opacity, max_depth=_ANY_DEPTH
     )

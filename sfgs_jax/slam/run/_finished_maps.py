@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from sfgs_jax.geometry import Trajectory, se3
 from sfgs_jax.slam.state import SlamState, frames_by_map, maps_of, move, rows_by_recording
-from sfgs_jax.splatting import Gaussians
+from sfgs_jax.splatting import Gaussians, fitted_background
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +47,26 @@ class FinishedMap:
         """Gain of each channel of its frames against the map's colours; None if they are not estimated."""
         gains = self.state.gains
         return None if gains is None else gains[self.rows]
+
+    @property
+    def background(self) -> Float[np.ndarray, "9 3"] | None:
+        """Colours behind the map: what its views show by direction, in its exposure; None without views."""
+        numbers = self.state.log.numbers[self.rows].tolist()
+        poses = dict(zip(numbers, self.trajectory.poses.astype(np.float32), strict=True))
+        views = [view for view in self.state.mapping.views if view.frame in poses and np.any(view.valid)]
+        if not views:
+            return None
+        mean = np.mean([view.gain for view in self.state.mapping.views], axis=0)
+
+        images = (
+            (
+                np.asarray(view.rgb, np.float32) * np.asarray(mean / view.gain / 255, np.float32),
+                np.asarray(view.valid),
+                poses[view.frame],
+            )
+            for view in views
+        )
+        return fitted_background(images, self.state.mapping_camera)
 
     @property
     def keyframe_trajectory(self) -> Trajectory:

@@ -19,7 +19,7 @@ from sfgs_jax.sensors import EXPOSURE_FILE, SENSOR_FILE, format_gains
 from sfgs_jax.slam.run._driver import Run
 from sfgs_jax.slam.run._sensor_file import write_sensors
 from sfgs_jax.slam.run._storage import STATE_FILE
-from sfgs_jax.splatting import save_ply
+from sfgs_jax.splatting import BACKGROUND_FILE, format_background, save_ply
 
 COVARIANCE_FILE = "trajectory_covariance.txt"
 OUTPUT_FILES = (
@@ -31,6 +31,7 @@ OUTPUT_FILES = (
     "config.json",
     SENSOR_FILE,
     EXPOSURE_FILE,
+    BACKGROUND_FILE,
     "frames.csv",
     "report.html",
     "run.log",
@@ -146,7 +147,7 @@ def _remove_storage(storage: Path) -> None:
 
 @checked
 def write_run(run: Run, folder: Path) -> None:
-    """Write the paths, `exposure.txt`, `sensors.json`, `metrics.json` and `map.ply`, the smallest first.
+    """Write the paths, the estimates of camera and background, `metrics.json` and `map.ply`.
 
     Raises:
         OSError: a file can't be written, for instance because the disk is full; those before it are whole.
@@ -157,6 +158,9 @@ def write_run(run: Run, folder: Path) -> None:
     if own.gains is not None:
         gains = format_gains(own.trajectory.timestamps, own.gains)
         write_atomically(folder / EXPOSURE_FILE, gains)
+    background = own.background
+    if background is not None:
+        write_atomically(folder / BACKGROUND_FILE, format_background(background))
     write_sensors(run.state, folder / SENSOR_FILE)
     write_atomically(folder / "metrics.json", json.dumps(run_metrics(run), indent=2) + "\n")
     save_ply(folder / "map.ply", largest.gaussians)

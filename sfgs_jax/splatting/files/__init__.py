@@ -1,5 +1,8 @@
 """Files of maps: PLY, point clouds and the formats of viewers."""
 
+from sfgs_jax.splatting.files._background_file import BACKGROUND_FILE as BACKGROUND_FILE
+from sfgs_jax.splatting.files._background_file import format_background as format_background
+from sfgs_jax.splatting.files._background_file import read_background as read_background
 from sfgs_jax.splatting.files._contents import Contents as Contents
 from sfgs_jax.splatting.files._contents import contents_of as contents_of
 from sfgs_jax.splatting.files._gltf import save_gltf as save_gltf
