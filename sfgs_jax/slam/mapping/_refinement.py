@@ -1,7 +1,7 @@
 """Refinement: map steps over all views once the recording has ended.
 
-Views come in shuffled epochs. Where extra ones were kept after a view, they take its place in turns: else
-such places would have more steps than the others. At its first turn a view fills what the map lacks: all that
+Views come in shuffled epochs. Extra ones that were kept after a view take its place in turns, for else such
+places would have more steps than the others. At its first turn a view fills what the map lacks: all that
 ordinary views have measured is in it by then. The views' poses take part: keypoints and depth leave
 errors of a millimetre, which an image shows against the map. The learning rates decay, so that map and poses
 come to rest.

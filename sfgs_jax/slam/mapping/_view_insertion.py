@@ -122,9 +122,9 @@ def _with_view(
 def fill(mapping: MapState, number: int, done: MapStep, camera: Camera, config: MappingConfig) -> MapState:
     """Set Gaussians where a view of the refinement shows what no view had for the map while it grew.
 
-    An extra view may show surface beside that of the ordinary ones. Where depth is missing, or farther than
-    `max_depth`, it is guessed from the map and from what lies around. Guessed Gaussians are as large as the
-    cells of a bare wall and half transparent, so that map steps can tell which of them are wrong.
+    An extra view may show surface beside that of the ordinary ones. Depth that is missing, or beyond
+    `max_depth`, is guessed from the map and from the depth around. Guessed Gaussians are as large as the
+    cells of a bare wall. They are half transparent, so that map steps can tell which are wrong.
 
     Args:
         mapping: the map with all of its views.
