@@ -156,7 +156,7 @@ def render_command(arguments: list[str]) -> int:
 
 
 def _is_video(out: Path) -> bool:
-    """Whether the pictures move in one file."""
+    """True if the pictures move in one file."""
     return out.suffix.lower() in (VIDEO_SUFFIX, *ANIMATION_SUFFIXES)
 
 

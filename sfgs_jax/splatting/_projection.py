@@ -11,8 +11,8 @@ The entries of Σ⁻¹ would not be.
 Under a rolling shutter a Gaussian is seen where it lies when its row is exposed. The row is the one that it
 would have without motion: it moves by a few pixels, which changes the time by some ten microseconds.
 
-While a row gathers light a Gaussian moves along b, and its image is the mean over that. It has the covariance
-Σ + b bᵀ / 12 and the weight √(det Σ / det(Σ + b bᵀ / 12)), so b / √12 is a fourth column of M. The covariance
+While a row gathers light a Gaussian moves along b, and its image is the mean over that. Its covariance is
+S = Σ + b bᵀ / 12 and its weight √(det Σ / det S), so b / √12 is a fourth column of M. The covariance
 is exact, and the shape about right while b is not much longer than the Gaussian.
 
 All products are written out as sums of elementwise ones, which run in float32 on every device.

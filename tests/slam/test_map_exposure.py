@@ -31,3 +31,12 @@ def test_colours_times_gains_stay_and_the_mean_gain_becomes_one(room, frames, co
     assert after.num_submaps == 2
     images = [np.asarray(render(m.map.gaussians, room.camera, se3.identity()).rgb) for m in (before, after)]
     np.testing.assert_allclose(images[1], images[0] * mean, atol=2e-5)
+
+
+def test_a_map_in_its_mean_exposure_is_left_alone(room, frames, config):
+    """Nothing is written again for it, and no colour changes by rounding."""
+    state, _ = slam.step(slam.init(room.camera, config), frames[0])
+    gains = np.asarray([[0.5, 1.0, 1.25], [1.5, 1.0, 0.75]], np.float32)
+    views = tuple(replace(state.mapping.views[0], gain=gain) for gain in gains)
+    before = replace(state.mapping, views=views)
+    assert in_the_mean_exposure(before) is before

@@ -86,8 +86,8 @@ def _placed(T_world_keyframe: jaxlie.SE3, T_keyframe_cam: jaxlie.SE3, correction
 def _corrected(view: View, done: MapStep, length: float) -> Float[np.ndarray, "6"]:
     """A view's correction after a step of this length along each direction, against the gradient.
 
-    A view is seen a few times only, too few for the size of the gradient to tell how far to go. As the
-    lengths decay, the steps come to rest. Corrections are small, so their tangents add up.
+    A view is seen a few times only, too few for the size of the gradient to tell how far to go. The
+    lengths decay, so that the steps come to rest. Corrections are small, so their tangents add up.
 
     Source: Riedmiller and Braun, A direct adaptive method for faster backpropagation learning (1993), for
     steps by the sign of the gradient.

@@ -289,7 +289,7 @@ def run(
 
 
 def _map_worker(result: Run, config: SlamConfig, storage: Path | None, *, realtime: bool) -> MapWorker:
-    """What maps beside the tracking, and spills the images of views to the storage."""
+    """The owner of the map, which spills the images of views to the storage."""
     kept = config.mapping.views_in_memory
 
     def spill_map(mapping: MapState) -> MapState:
@@ -300,7 +300,7 @@ def _map_worker(result: Run, config: SlamConfig, storage: Path | None, *, realti
 
 
 def _progress(result: Run, frame: Frame | FrameError, found: StepInfo | FrameError) -> Progress:
-    """What the observer is told after a frame."""
+    """The state of the run for the observer, after a frame."""
     info, skipped = (None, found) if isinstance(found, FrameError) else (found, None)
     image = None if isinstance(frame, FrameError) else frame
     gaussians = result.state.mapping.num_gaussians

@@ -147,7 +147,7 @@ def _remove_storage(storage: Path) -> None:
 
 @checked
 def write_run(run: Run, folder: Path) -> None:
-    """Write the paths, the estimates of camera and background, `metrics.json` and `map.ply`.
+    """Write the paths, the estimates of camera and background, `metrics.json` and `map.ply`, in this order.
 
     Raises:
         OSError: a file can't be written, for instance because the disk is full; those before it are whole.
@@ -174,9 +174,9 @@ def write_trajectories(run: Run, folder: Path) -> None:
 
     The files are of the largest map. The others have a `trajectory_N.txt` each, from N = 2 on.
 
-    Where runs were merged, these files hold the frames of the first recording, which is the one that the
-    settings name. The frames of another are in `trajectory_recording_N.txt`, and those that the map was made
-    from in `keyframes_recording_N.txt`, from N = 2 on. They are in the same world, by their own times.
+    After a merge these files hold the frames of the first recording, the one that the settings name. The
+    frames of another are in `trajectory_recording_N.txt`, and those that the map was made from in
+    `keyframes_recording_N.txt`, from N = 2 on. They are in the same world, by their own times.
     """
     largest, *others = run.maps
     own, *joined = largest.recordings
