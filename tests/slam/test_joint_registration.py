@@ -103,28 +103,42 @@ def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, params, 
     np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], expected, atol=0.01)
 
 
-def test_few_keypoints_help_the_surface_but_do_not_stand_without_it(rng, look, params, tracking):
-    image = texture(rng)
-    target, seen = look(wall(image, (0, 0, 0))), wall(image, SHIFT)
-    blind = Frame(seen.rgb, np.zeros_like(seen.depth), 0.0)
+def thinned(params, frame, target, keep):
+    """The registration of a frame by so many of its keypoints, of those that fit."""
+    seen = observe(params, frame)
+    inliers = register(params, seen, target, se3.identity()).matched.inliers
+    kept = seen.keypoints.features.valid & inliers & (jnp.cumsum(inliers) <= keep)
+    seen = eqx.tree_at(lambda o: o.keypoints.features.valid, seen, kept)
+    return register(params, seen, target, se3.identity())
+
+
+@pytest.mark.parametrize("enough", [True, False])
+def test_few_keypoints_help_a_surface_but_do_not_stand_without_it(
+    rng, look, params, tracking, corner, enough
+):
     few, many = tracking.features.min_inliers, tracking.features.min_inliers_alone
+    rgb, (_, depth) = wall(texture(rng), (0, 0, 0)).rgb, corner
+    target, keep = look(Frame(rgb, depth, 0.0)), many + 10 if enough else (few + many) // 2
+    both = thinned(params, Frame(rgb, depth, 0.0), target, keep)
+    alone = thinned(params, Frame(rgb, np.zeros_like(depth), 0.0), target, keep)
+    assert int(both.num_free) == 0
+    assert int(both.source) == PoseSource.JOINT
+    assert int(alone.source) == (PoseSource.KEYPOINTS if enough else PoseSource.LOST)
+    np.testing.assert_allclose(se3.log(both.T_target_source), 0, atol=0.005)
+    for result in (both, alone):
+        assert (int(result.matched.num_inliers) >= many) == enough
+        assert int(result.matched.num_inliers) >= few
 
-    def found(frame, keep):
-        """The registration of so many of a frame's keypoints, of those that fit."""
-        seen = look(frame)
-        inliers = register(params, seen, target, se3.identity()).matched.inliers
-        kept = seen.keypoints.features.valid & inliers & (jnp.cumsum(inliers) <= keep)
-        seen = eqx.tree_at(lambda o: o.keypoints.features.valid, seen, kept)
-        return register(params, seen, target, se3.identity())
 
-    for keep, without in ((many + 10, PoseSource.KEYPOINTS), ((few + many) // 2, PoseSource.LOST)):
-        both, alone = found(seen, keep), found(blind, keep)
-        assert int(both.source) == PoseSource.JOINT
-        np.testing.assert_allclose(both.T_target_source.wxyz_xyz[4:], SHIFT, atol=0.01)
-        assert int(alone.source) == without
-        for result in (both, alone):
-            assert (int(result.matched.num_inliers) >= many) == (without == PoseSource.KEYPOINTS)
-            assert int(result.matched.num_inliers) >= few
+@pytest.mark.parametrize("enough", [True, False])
+def test_what_a_wall_leaves_free_takes_as_many_keypoints_as_stand_alone(rng, look, params, tracking, enough):
+    """All of the few agree, as do the outlines of a bare sphere that the camera circles."""
+    image, many = texture(rng), tracking.features.min_inliers_alone
+    target = look(wall(image, (0, 0, 0)))
+    found = thinned(params, wall(image, SHIFT), target, many + 10 if enough else many - 4)
+    assert int(found.matched.num_inliers) > tracking.features.min_inliers
+    assert int(found.num_free) == 3
+    assert int(found.source) == (PoseSource.JOINT if enough else PoseSource.MOTION_MODEL)
 
 
 @pytest.mark.parametrize(
@@ -167,12 +181,18 @@ def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, params):
     np.testing.assert_allclose(found.T_target_source.wxyz_xyz[4:], [0.02, 0.01, 0.05], atol=0.004)
 
 
+@pytest.fixture
+def patient(config):
+    """Settings with which a pose may rest on the motion model, which is uncertain to decimetres."""
+    return replace(config, tracking=replace(config.tracking, max_position_sigma=0.5))
+
+
 @pytest.mark.parametrize(("speed", "coasted"), [(0.03, 4), (0.06, 2)])
 def test_where_the_wall_turns_bare_the_motion_model_carries_so_far_and_no_farther(
-    rng, config, speed, coasted
+    rng, patient, speed, coasted
 ):
     image = texture(rng)
-    state = slam.init(CAMERA, config)
+    state = slam.init(CAMERA, patient)
     sources, found = [], []
     for number in range(20):
         frame = wall(image, (speed * number, 0, 0), bare=number > 4)
@@ -186,9 +206,17 @@ def test_where_the_wall_turns_bare_the_motion_model_carries_so_far_and_no_farthe
     np.testing.assert_allclose(found[: 5 + coasted], speed * np.arange(5 + coasted), atol=0.02)
 
 
-def test_the_motion_model_carries_no_frame_after_a_lost_one(rng, config):
+def test_what_the_motion_model_alone_says_is_too_uncertain_by_default(rng, config):
     image = texture(rng)
     state = slam.init(CAMERA, config)
+    for number in range(8):
+        state, info = slam.step(state, wall(image, (0.02 * number, 0, 0), bare=number > 4))
+        assert info.tracked == (number <= 4)
+
+
+def test_the_motion_model_carries_no_frame_after_a_lost_one(rng, patient):
+    image = texture(rng)
+    state = slam.init(CAMERA, patient)
     dark = Frame(np.zeros((120, 160, 3), np.float32), np.zeros((120, 160), np.float32), 0.0)
     frames = [wall(image, (0.02 * number, 0, 0), bare=number > 2) for number in range(5)]
     sources = []

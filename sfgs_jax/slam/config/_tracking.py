@@ -65,8 +65,8 @@ class FeaturesConfig:
     min_inlier_share: float = 0.25
     """Least share of inliers among the matches with which the keypoints take part in a registration."""
     min_inlier_share_alone: float = 0.33
-    """Least share of inliers where the surface leaves a direction of motion free. There the keypoints decide
-    alone, and nothing would contradict wrong matches that agree."""
+    """Least share of inliers, beside `min_inliers_alone`, where the surface leaves a direction of motion
+    free. There the keypoints decide alone, and nothing would contradict wrong matches that agree."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
@@ -150,9 +150,9 @@ class TrackingConfig:
     max_lost: int = 30
     """Lost frames in a row after which the surface alone finds no frame again. The camera may be anywhere by
     then, and surfaces fit in many places. Without keypoints there is no limit."""
-    max_position_sigma: float = 0.5
-    """Standard deviation of a frame's position in its keyframe beyond which the frame is lost, metres. It
-    grows while the motion model carries the pose."""
+    max_position_sigma: float = 0.05
+    """Standard deviation of a frame's position in its keyframe beyond which the frame is lost, metres. The
+    motion model alone is less certain than the default, which tells nearly every pose to 10 cm."""
     max_scale_change: float = 0.03
     """Largest change of the scale of depth from the reference to a frame, as a share, that is taken for the
     distortion of the sensor. With a larger one a frame is lost: the sensor has changed its unit."""

@@ -89,7 +89,8 @@ def keypoints_take_part(
     features = config.features
     counted = keypoints_help(matched, features) & (near_guess | keypoints_are_many(matched, features))
     # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
-    certain = _share(matched) >= features.min_inlier_share_alone
+    certain = keypoints_are_many(matched, features)
+    certain &= _share(matched) >= features.min_inlier_share_alone
     return counted & ((num_free == 0) | certain | ~surface_fits(fraction, config))
 
 
