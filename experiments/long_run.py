@@ -1,6 +1,7 @@
 """A long run: time of a frame, memory and keyframes by parts of the run, then the error and wrong edges.
 
     python -m experiments.long_run synthetic:place=building,frames=10000 [--without-map]
+    python -m experiments.long_run synthetic:place=desk,frames=2500 --holes
 
 A camera that has been everywhere should cost the same in the last part as in the second, in time and in
 memory. A frame's time is that of its pose and of the graph; the map grows beside it, and is not refined at
@@ -9,14 +10,17 @@ the end. Memory is the process's own, without files that are mapped into it.
 
 import argparse
 import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax import datasets, evaluation, slam
-from sfgs_jax.geometry import Trajectory, se3
+from sfgs_jax.datasets import Recording
+from sfgs_jax.geometry import Frame, Trajectory, se3
 
 _WRONG_METRES, _WRONG_RADIANS = 0.1, 0.1
 """Error of an edge's motion beyond which it is wrong."""
@@ -28,23 +32,27 @@ def main() -> None:
     parser.add_argument("source", help="recording with ground truth")
     parser.add_argument("--part", type=int, default=1000, help="frames of a row")
     parser.add_argument("--realtime", action="store_true", help="map in a thread of its own")
+    parser.add_argument(
+        "--holes", action="store_true", help="no depth in half of each image, elsewhere in each frame"
+    )
     parser.add_argument("--without-map", action="store_true", help="poses alone: no table, the same error")
     options = parser.parse_args()
     recording = datasets.open_recording(options.source)
     if recording.ground_truth is None:
         raise SystemExit("The recording has no ground truth.")
+    frames = _frames(recording, holes=options.holes)
     config = slam.SlamConfig()
     config = replace(config, mapping=replace(config.mapping, final_steps=0))
     if options.without_map:
         state = slam.init(recording.camera, config)
-        for number in range(len(recording)):
-            state, _, _ = slam.follow(state, recording[number], number=number)
+        for number, frame in frames:
+            state, _, _ = slam.follow(state, frame, number=number)
         print(_summary(slam.finish(state), recording.ground_truth))
         return
     rows = _Rows(options.part, len(recording))
     with tempfile.TemporaryDirectory() as folder:
         run = slam.run(
-            ((number, recording[number]) for number in range(len(recording))),
+            frames,
             recording.camera,
             config,
             observer=rows,
@@ -52,6 +60,19 @@ def main() -> None:
             realtime=options.realtime,
         )
     print(_summary(run.state, recording.ground_truth))
+
+
+def _frames(recording: Recording, *, holes: bool) -> Iterator[tuple[int, Frame]]:
+    for number in range(len(recording)):
+        frame = recording[number]
+        yield number, replace(frame, depth=_with_holes(np.asarray(frame.depth), number)) if holes else frame
+
+
+def _with_holes(depth: Float[np.ndarray, "h w"], number: int) -> Float[np.ndarray, "h w"]:
+    """Depth without half of its pixels: smooth patches, drawn by the number of the frame."""
+    coarse = np.random.default_rng(number).normal(size=(8, 10)).astype(np.float32)
+    field = cv2.resize(coarse, depth.shape[::-1], interpolation=cv2.INTER_CUBIC)
+    return np.where(field > np.median(field), depth, 0)
 
 
 class _Rows:

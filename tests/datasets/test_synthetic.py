@@ -221,6 +221,17 @@ def test_twin_rooms_look_the_same_from_corresponding_places():
     assert np.abs(np.asarray(images[0].rgb) - np.asarray(images[1].rgb)).mean() < 0.02
 
 
+def test_at_the_desk_everything_is_close_and_the_camera_keeps_its_pace():
+    desk = SyntheticRecording(num_frames=420, width=80, height=60, place="desk")
+    metres, degrees = _steps(desk.ground_truth.poses)
+    assert metres.max() < 0.025
+    assert degrees.max() < 3
+    for index in range(0, 420, 60):
+        depth = np.asarray(desk[index].depth)
+        assert 0.2 < np.median(depth[depth > 0]) < 0.9
+        assert np.mean(depth > 0) > 0.6
+
+
 @pytest.mark.parametrize("place", ["wall", "sphere"])
 def test_bare_places_have_no_texture_when_seen_alone(place):
     recording = SyntheticRecording(num_frames=60, width=80, height=60, place=place)

@@ -15,6 +15,8 @@ _HEIGHT = 2.6
 """Height of rooms, metres."""
 _EYE = 1.4
 """Height of the camera, metres."""
+_DESK = 0.75
+"""Height of the desk, metres."""
 
 _THINGS = ("wood", "pale_wood", "fabric", "mosaic", "poster", "books_x", "ceramic", "cushion", "leaves")
 
@@ -119,6 +121,28 @@ def _sphere(seed: int, num_frames: int) -> Place:
     return Place(builder.build(rng), looking(position, angle + np.pi, -0.05 + 0 * phase, 0 * phase))
 
 
+def _desk(seed: int, num_frames: int) -> Place:
+    """Small things on a desk with two panels; the camera goes to and fro before it, half a metre away."""
+    rng = np.random.default_rng(seed)
+    builder = SceneBuilder()
+    builder.box("wood", (-0.6, -0.4, _DESK - 0.04), (0.6, 0.4, _DESK))
+    builder.box("poster", (-0.6, 0.4, _DESK), (0.6, 0.42, _DESK + 0.8))
+    builder.box("mosaic", (0.6, -0.4, _DESK), (0.62, 0.42, _DESK + 0.8))
+    for x in np.linspace(-0.45, 0.45, 4):
+        for y in np.linspace(-0.2, 0.25, 3):
+            look, size = str(rng.choice(_THINGS)), rng.uniform(0.02, 0.05)
+            centre = np.asarray([x, y]) + rng.uniform(-0.04, 0.04, 2)
+            top = _point(centre + size, _DESK + rng.uniform(0.03, 0.25))
+            builder.box(look, _point(centre - size, _DESK), top)
+    seconds = np.arange(num_frames) / 30
+    angle = -np.pi / 2 + np.sin(2 * np.pi * seconds / 7)
+    distance = 0.55 + 0.1 * np.sin(2 * np.pi * seconds / 11)
+    height = 0.4 + 0.12 * np.sin(2 * np.pi * seconds / 5)
+    position = np.stack([distance * np.cos(angle), distance * np.sin(angle), _DESK + height], axis=1)
+    pitch = -np.arctan2(height - 0.1, distance)
+    return Place(builder.build(rng), looking(position, angle + np.pi, pitch, np.zeros(num_frames)))
+
+
 def _building(seed: int, num_frames: int) -> Place:
     """Thirty rooms and the corridors between them; the camera sees no further than the next room."""
     rng = np.random.default_rng(seed)
@@ -135,6 +159,7 @@ PLACES: dict[str, Callable[[int, int], Place]] = {
     "twins": _twins,
     "wall": _wall,
     "sphere": _sphere,
+    "desk": _desk,
     "building": _building,
 }
 """Makes a place from a seed and a number of frames."""
