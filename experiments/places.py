@@ -3,10 +3,10 @@
     python -m experiments.places [--places ring twins wall sphere] [--seeds 0]
 
 320x240 with the noise of a Kinect, tracking without a map. *Tracked* counts frames that have a pose. Errors
-are those of the final poses in the largest map, *worst* after SE(3) alignment. *In the keyframe* is the
-largest error of a pose in its keyframe as it was given, and how many are more than 5 cm off. *End* is how far
-the end of the recording is from where it should be, seen from its start: what a loop has to close. A loop is
-false if it is off by more than 0.3 m or 10 degrees from the truth.
+are those of the final poses in the largest map; *worst* is the largest after SE(3) alignment. *Off in the
+keyframe* is the largest error of a pose in its keyframe as it was given. The number behind it counts those
+above 5 cm. *End* is how far the end of the recording is from where it should be, seen from its start: what a
+loop has to close. A loop is false if it is off by more than 0.3 m or 10 degrees from the truth.
 """
 
 import argparse
@@ -45,7 +45,7 @@ def false_loops(state: SlamState, truth: np.ndarray) -> int:
 
 
 def error_in_keyframe(state: SlamState, truth: np.ndarray) -> float:
-    """Of the newest frame's position in its keyframe, metres."""
+    """Error of the newest frame's position in its keyframe, metres."""
     log = state.log
     keyframe = state.graph.keyframes[int(log.keyframes[-1])].frame
     true = np.linalg.inv(truth[keyframe]) @ truth[log.newest]
@@ -88,7 +88,7 @@ def main() -> None:
     parser.add_argument("--places", nargs="+", default=list(FRAMES), choices=list(FRAMES))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     arguments = parser.parse_args()
-    header = ("place", "seed", "tracked", "maps", "ATE cm", "worst cm", "in the keyframe cm, off")
+    header = ("place", "seed", "tracked", "maps", "ATE cm", "worst cm", "off in the keyframe cm, above 5")
     header += ("end cm", "keyframes", "loops / false")
     rows: list[tuple[str, ...]] = [header, tuple("---" for _ in header)]
     for place in arguments.places:
