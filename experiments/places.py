@@ -2,11 +2,14 @@
 
     python -m experiments.places [--places ring twins wall sphere] [--seeds 0]
 
-320x240 with the noise of a Kinect, tracking without a map. *Tracked* counts frames that have a pose. Errors
-are those of the final poses in the largest map; *worst* is the largest after SE(3) alignment. *Off in the
-keyframe* is the largest error of a pose in its keyframe as it was given. The number behind it counts those
-above 5 cm. *End* is how far the end of the recording is from where it should be, seen from its start: what a
-loop has to close. A loop is false if it is off by more than 0.3 m or 10 degrees from the truth.
+320x240 with the noise of a Kinect, tracking without a map. The columns:
+
+- tracked: frames that have a pose.
+- ATE, worst: RMSE and largest error of the final poses in the largest map, after SE(3) alignment.
+- off in the keyframe: largest error of a pose in its keyframe as it was given. Behind it, how many are above
+  5 cm.
+- end: error of the motion from the recording's start to its end, which a loop has to close.
+- false loops: those off by more than 0.3 m or 10 degrees from the truth.
 """
 
 import argparse
@@ -35,7 +38,7 @@ def angle(T: np.ndarray) -> float:
 
 
 def false_loops(state: SlamState, truth: np.ndarray) -> int:
-    """How many closed loops join what is not in one place."""
+    """Number of closed loops that join two different places."""
     false = 0
     for edge in state.graph.loops:
         a, b = (truth[state.graph.keyframes[k].frame] for k in (edge.target, edge.source))
