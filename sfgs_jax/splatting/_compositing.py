@@ -29,12 +29,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Float, Int, Shaped
 
 from sfgs_jax.arrays import stable_argsort
 from sfgs_jax.splatting._binning import TileLists, tile_grid
 from sfgs_jax.splatting._thresholds import MIN_ALPHA
+from sfgs_jax.splatting._view_batches import with_views_as_one
 
 MAX_ALPHA = 0.99
 """No Gaussian is more opaque than this."""
@@ -70,9 +70,9 @@ class _Blocks(eqx.Module):
     centres: Float[Array, "blocks b 2"]
 
 
-def _make_blocks(lists: TileLists, columns: int, tile_size: int, dtype: jnp.dtype) -> _Blocks:
-    """Blocks of the tiles of an image with so many columns of tiles."""
-    tiles, capacity = lists.counts.shape[0], lists.gaussians.shape[0]
+def _make_blocks(lists: TileLists, grid: tuple[int, int], tile_size: int, dtype: jnp.dtype) -> _Blocks:
+    """Blocks of the tiles of one or more images, each with so many columns and rows of tiles."""
+    tiles, capacity, (columns, rows) = lists.counts.shape[0], lists.gaussians.shape[0], grid
     # Blocks of one size, so that the last is not mostly empty lists.
     blocks = -(-tiles // max(1, _BLOCK_PIXELS // tile_size**2))
     size = -(-tiles // blocks)
@@ -84,7 +84,7 @@ def _make_blocks(lists: TileLists, columns: int, tile_size: int, dtype: jnp.dtyp
         return values.reshape(-1, size, *values.shape[1:])
 
     index = jnp.arange(tiles, dtype=jnp.int32)
-    corners = jnp.stack([index % columns, index // columns], axis=-1) * tile_size
+    corners = jnp.stack([index % columns, index // columns % rows], axis=-1) * tile_size
     return _Blocks(
         tiles=blocked(index).reshape(-1),
         places=jnp.zeros(tiles, jnp.int32).at[order].set(index),
@@ -165,24 +165,27 @@ def _alphas(chunk: _Chunk, tile_size: int) -> Float[Array, "b k p"]:
     return jnp.where(alphas < MIN_ALPHA, 0, jnp.minimum(alphas, MAX_ALPHA))
 
 
-def _to_image(
+def _to_images(
     tiled: Shaped[Array, "c blocks b p"], blocks: _Blocks, width: int, height: int, tile_size: int
-) -> Shaped[Array, "c h w"]:
-    """The image whose tiles lie in blocks."""
+) -> Shaped[Array, "v c h w"]:
+    """The images whose tiles lie in blocks."""
     columns, rows = tile_grid(width, height, tile_size)
     channels = tiled.shape[0]
     tiles = tiled.reshape(channels, -1, tile_size**2)[:, blocks.places]
-    grid = tiles.reshape(channels, rows, columns, tile_size, tile_size).transpose(0, 1, 3, 2, 4)
-    return grid.reshape(channels, rows * tile_size, columns * tile_size)[:, :height, :width]
+    grid = tiles.reshape(channels, -1, rows, columns, tile_size, tile_size).transpose(1, 0, 2, 4, 3, 5)
+    return grid.reshape(-1, channels, rows * tile_size, columns * tile_size)[:, :, :height, :width]
 
 
-def _to_tiles(image: Float[Array, "c h w"], blocks: _Blocks, tile_size: int) -> Float[Array, "c blocks b p"]:
-    """The tiles of an image in blocks, zero beyond the image."""
-    channels, height, width = image.shape
+def _to_tiles(
+    images: Float[Array, "v c h w"], blocks: _Blocks, tile_size: int
+) -> Float[Array, "c blocks b p"]:
+    """The tiles of images in blocks, zero beyond the images."""
+    views, channels, height, width = images.shape
     columns, rows = tile_grid(width, height, tile_size)
-    padded = jnp.pad(image, ((0, 0), (0, rows * tile_size - height), (0, columns * tile_size - width)))
-    grid = padded.reshape(channels, rows, tile_size, columns, tile_size).transpose(0, 1, 3, 2, 4)
-    tiles = grid.reshape(channels, rows * columns, tile_size**2)
+    room = (0, rows * tile_size - height), (0, columns * tile_size - width)
+    padded = jnp.pad(images, ((0, 0), (0, 0), *room))
+    grid = padded.reshape(views, channels, rows, tile_size, columns, tile_size).transpose(1, 0, 2, 4, 3, 5)
+    tiles = grid.reshape(channels, -1, tile_size**2)
     return tiles[:, blocks.tiles].reshape(channels, *blocks.counts.shape, tile_size**2)
 
 
@@ -192,8 +195,7 @@ def composite(
 ) -> tuple[Float[Array, "d-5 {height} {width}"], Int[Array, "{height} {width}"]]:
     """Composite the features of the Gaussians front to back.
 
-    Reverse-mode differentiable once, in `table`. Under `vmap`, views are drawn one after the other: together
-    all would take as many steps as the longest list of any.
+    Reverse-mode differentiable once, in `table`. Under `vmap` the tiles of all views are drawn together.
 
     Args:
         table: (N, 6 + C) centre u, v, whitening p, q, r, log opacity, then C features.
@@ -214,15 +216,15 @@ def _forward(
     table: Float[Array, "n d"], lists: TileLists, width: int, height: int, tile_size: int
 ) -> tuple[tuple[Array, Array], tuple]:
     """The images, and what the gradient needs."""
-    draw = sequential_vmap(partial(_draw, width=width, height=height, tile_size=tile_size))
-    image, passed, blocks = draw(table, lists)
-    return (image, passed), (table, lists, blocks, image)
+    draw = with_views_as_one(partial(_draw, width=width, height=height, tile_size=tile_size))
+    images, passed = draw(table, lists)
+    return (images[0], passed[0]), (table, lists, images)
 
 
 def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotangents: tuple) -> tuple:
     """The gradient by the table; the lists have none."""
-    walk = sequential_vmap(partial(_walk, width=width, height=height, tile_size=tile_size))
-    return walk(*residuals, cotangents[0]), None
+    walk = with_views_as_one(partial(_walk, width=width, height=height, tile_size=tile_size))
+    return walk(*residuals, cotangents[0][None]), None
 
 
 composite.defvjp(_forward, _backward)
@@ -230,10 +232,9 @@ composite.defvjp(_forward, _backward)
 
 def _draw(
     table: Float[Array, "n d"], lists: TileLists, *, width: int, height: int, tile_size: int
-) -> tuple[Float[Array, "c h w"], Int[Array, "h w"], _Blocks]:
-    """Both images of `composite`, and the blocks that they were drawn in."""
-    columns, _ = tile_grid(width, height, tile_size)
-    blocks = _make_blocks(lists, columns, tile_size, table.dtype)
+) -> tuple[Float[Array, "v c h w"], Int[Array, "v h w"]]:
+    """Both images of `composite`, of each view."""
+    blocks = _make_blocks(lists, tile_grid(width, height, tile_size), tile_size, table.dtype)
     count, size = blocks.counts.shape
     pixels, channels = tile_size**2, table.shape[1] - 5
     indices = partial(_indices, lists, blocks, past=table.shape[0])
@@ -272,31 +273,31 @@ def _draw(
 
     empty = jnp.zeros((channels, count, size, pixels), table.dtype)
     images = jax.lax.fori_loop(0, count, draw_block, (empty, jnp.zeros_like(empty[:1], jnp.int32)))
-    image, passed = (_to_image(tiled, blocks, width, height, tile_size) for tiled in images)
-    return image, passed[0], blocks
+    image, passed = (_to_images(tiled, blocks, width, height, tile_size) for tiled in images)
+    return image, passed[:, 0]
 
 
 def _walk(
     table: Float[Array, "n d"],
     lists: TileLists,
-    blocks: _Blocks,
-    image: Float[Array, "c h w"],
-    cotangent: Float[Array, "c h w"],
+    images: Float[Array, "v c h w"],
+    cotangents: Float[Array, "v c h w"],
     *,
     width: int,
     height: int,
     tile_size: int,
 ) -> Float[Array, "n d"]:
     """Gradient by the table: the lists are walked once more, nearest first."""
+    blocks = _make_blocks(lists, tile_grid(width, height, tile_size), tile_size, table.dtype)
     count, size = blocks.counts.shape
     # <g, out> of every pixel goes along as one more channel.
-    total = jnp.sum(cotangent * image, axis=0, keepdims=True)
-    cotangents = _to_tiles(jnp.concatenate([cotangent, total]), blocks, tile_size)
+    total = jnp.sum(cotangents * images, axis=1, keepdims=True)
+    in_tiles = _to_tiles(jnp.concatenate([cotangents, total], axis=1), blocks, tile_size)
     indices = partial(_indices, lists, blocks, past=table.shape[0])
 
     def walk_block(block: Array, gradients: Array) -> Array:
         longest = jnp.max(blocks.counts[block])
-        *by_features, by_alpha, total = cotangents[:, block]
+        *by_features, by_alpha, total = in_tiles[:, block]
         stacked = jnp.stack(by_features, axis=1)
 
         def more(state: tuple[Array, ...]) -> Array:

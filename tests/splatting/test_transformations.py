@@ -1,5 +1,6 @@
 """The renderer under jit, vmap, grad, checkpoint and forward mode; and the number of its compilations."""
 
+import re
 from dataclasses import replace
 
 import equinox as eqx
@@ -55,6 +56,35 @@ def test_a_batch_of_cameras_is_a_vmap(view):
         batched = jax.tree.map(lambda x, i=i: x[i], (of_cameras, of_poses))
         assert_same(batched, (of_camera, of_pose), tolerance=1e-4)
     assert_same(of_scene.means, sum(of_scene.means for _, (of_scene, _, _) in singles))
+
+
+def test_a_batch_of_batches_has_the_images_of_its_views(view):
+    scene, camera, T = view
+    tangents = jnp.asarray(np.random.default_rng(1).normal(0, 0.05, (2, 3, 6)), jnp.float32)
+
+    def image(delta):
+        out = render(scene, camera, se3.compose(T, se3.exp(delta)), config=CONFIG)
+        return images_of(out), out.median_depth
+
+    batch, medians = jax.jit(jax.vmap(jax.vmap(image)))(tangents)
+    for i, j in np.ndindex(2, 3):
+        alone, median = jax.jit(image)(tangents[i, j])
+        np.testing.assert_array_equal(batch[i, j], alone)
+        np.testing.assert_array_equal(medians[i, j], median)
+
+
+def test_a_batch_of_views_is_composited_at_once(view):
+    scene, camera, T = view
+    tangents = jnp.zeros((4, 6))
+
+    def image(delta):
+        return render(scene, camera, se3.compose(T, se3.exp(delta)), config=CONFIG).rgb
+
+    def loops(function, *arguments):
+        return len(re.findall(r"\b(?:while|scan)\[", str(jax.make_jaxpr(function)(*arguments))))
+
+    one, many = loops(image, tangents[0]), loops(jax.vmap(image), tangents)
+    assert many == one > 0
 
 
 def test_filter_grad_takes_a_whole_map(view):
