@@ -135,7 +135,6 @@ def seen_by(
 
 
 @checked
-@jax.jit
 def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3) -> MapStep:
     """One step of Adam on the Gaussians that a view sees; a pure function, compiled once per map capacity.
 
@@ -143,34 +142,21 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
     of view keeps its place and its moments. The step's rendering also tells where the map lacks the view's
     surface.
 
+    Called from outside of `jit` it is three programs. In one, XLA would look up the Gaussians in view again
+    for each use, which takes a sixth longer.
+
     Args:
         params: parameters of mapping.
         gaussian_map: before the step.
         view: images to be like.
         T_world_cam: its pose when colour's middle row was exposed.
     """
-
-    rows, in_view = _rows_in_view(params, gaussian_map.gaussians, view, T_world_cam)
-    gaussians = at_rows(gaussian_map.gaussians, rows)
-
-    def loss_of(values: Parameters, delta: Float[Array, "6"]) -> tuple[Array, _About]:
-        T = se3.compose(T_world_cam, se3.exp(delta))
-        return _loss(params, gaussians, view, T, values)
-
-    start = parameters(gaussians), jnp.zeros(6)
-    (loss, about), both = jax.value_and_grad(loss_of, argnums=(0, 1), has_aux=True)(*start)
-    gradients, pose_gradient = both
-
-    def stepped(before: GaussianMap, gradients: Parameters) -> GaussianMap:
-        return with_rows(before, rows, _adam(at_rows(before, rows), gradients, params.config, params.rate))
-
-    found = _found(gaussian_map, loss, about, rows, in_view, pose_gradient)
-    # In one piece with the gradients, Adam's loops would compute parts of them again: a fifth of the step.
-    after = jax.lax.cond(found.overflow == 0, stepped, lambda before, _: before, gaussian_map, gradients)
-    return found._replace(map=after)
+    rows, in_view, seen = _seen(params, gaussian_map, view, T_world_cam)
+    stepped, found = _stepped(params, seen, in_view, view, T_world_cam)
+    return MapStep(map=_with_rows(gaussian_map, rows, stepped), **found)
 
 
-@jax.jit
+@checked
 def compare_with_map(
     params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3
 ) -> MapStep:
@@ -178,24 +164,60 @@ def compare_with_map(
 
     Gaussians that the view's surface hides are not drawn: in rooms behind rooms they are most of the map.
     """
-    rows, in_view = _rows_in_view(params, gaussian_map.gaussians, view, T_world_cam)
-    seen = at_rows(gaussian_map.gaussians, rows)
+    _, in_view, seen = _seen(params, gaussian_map, view, T_world_cam)
+    return MapStep(map=gaussian_map, **_comparison(params, seen.gaussians, in_view, view, T_world_cam))
+
+
+@jax.jit
+def _stepped(
+    params: MapParams, seen: GaussianMap, in_view: Int[Array, ""], view: View, T_world_cam: jaxlie.SE3
+) -> tuple[GaussianMap, dict[str, Array]]:
+    """The Gaussians in view after a step, and the fields of `MapStep` but the map."""
+
+    def loss_of(values: Parameters, delta: Float[Array, "6"]) -> tuple[Array, _About]:
+        T = se3.compose(T_world_cam, se3.exp(delta))
+        return _loss(params, seen.gaussians, view, T, values)
+
+    start = parameters(seen.gaussians), jnp.zeros(6)
+    (loss, about), both = jax.value_and_grad(loss_of, argnums=(0, 1), has_aux=True)(*start)
+    gradients, pose_gradient = both
+    found = _found(loss, about, in_view, len(seen.updates), pose_gradient)
+
+    def stepped(before: GaussianMap, gradients: Parameters) -> GaussianMap:
+        return _adam(before, gradients, params.config, params.rate)
+
+    # In one piece with the gradients, Adam's loops would compute parts of them again: a fifth of the step.
+    after = jax.lax.cond(found["overflow"] == 0, stepped, lambda before, _: before, seen, gradients)
+    return after, found
+
+
+@jax.jit
+def _comparison(
+    params: MapParams, seen: Gaussians, in_view: Int[Array, ""], view: View, T_world_cam: jaxlie.SE3
+) -> dict[str, Array]:
+    """The fields of `MapStep` but the map."""
     loss, about = _loss(params, seen, view, T_world_cam, parameters(seen), step=False)
-    return _found(gaussian_map, loss, about, rows, in_view, jnp.zeros(6))
+    return _found(loss, about, in_view, seen.valid.shape[0], jnp.zeros(6))
 
 
-def _rows_in_view(
-    params: MapParams, gaussians: Gaussians, view: View, T_world_cam: jaxlie.SE3
-) -> tuple[Int[Array, " v"], Int[Array, ""]]:
-    """Slots of the Gaussians that the view's camera sees, as far as there is room, and how many it sees.
+_with_rows = jax.jit(with_rows)
 
-    Most of a map is out of view, and all that follows works on what is in it.
+
+@jax.jit
+def _seen(
+    params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3
+) -> tuple[Int[Array, " v"], Int[Array, ""], GaussianMap]:
+    """Slots of the Gaussians that the view's camera sees, how many it sees, and what the slots hold.
+
+    Most of a map is out of view, and all that follows works on what is in it. Those that find no room are
+    left out.
     """
-    projected, _ = project(gaussians, params.camera, T_world_cam, _shutter(params, view))
-    slots = gaussians.valid.shape[0]
+    projected, _ = project(gaussian_map.gaussians, params.camera, T_world_cam, _shutter(params, view))
+    slots = len(gaussian_map.updates)
     room = min(params.view_capacity, slots)
     (rows,) = jnp.nonzero(projected.visible, size=room, fill_value=slots)
-    return rows.astype(jnp.int32), jnp.sum(projected.visible, dtype=jnp.int32)
+    rows = rows.astype(jnp.int32)
+    return rows, jnp.sum(projected.visible, dtype=jnp.int32), at_rows(gaussian_map, rows)
 
 
 def _shutter(params: MapParams, view: View) -> RollingShutter | None:
@@ -206,27 +228,26 @@ def _shutter(params: MapParams, view: View) -> RollingShutter | None:
 
 
 def _found(
-    after: GaussianMap,
     loss: Array,
     about: _About,
-    rows: Int[Array, " v"],
     in_view: Int[Array, ""],
+    room: int,
     pose_gradient: Float[Array, "6"],
-) -> MapStep:
+) -> dict[str, Array]:
+    """Fields of `MapStep` but the map."""
     missing, empty, depth, gain, seed_gain, overflow, needed = about
-    return MapStep(
-        map=after,
-        loss=loss,
-        missing=missing,
-        empty=empty,
-        depth=depth,
-        gain=gain,
-        seed_gain=seed_gain,
-        overflow=overflow + jnp.maximum(in_view - rows.shape[0], 0),
-        needed=needed,
-        in_view=in_view,
-        pose_gradient=pose_gradient,
-    )
+    return {
+        "loss": loss,
+        "missing": missing,
+        "empty": empty,
+        "depth": depth,
+        "gain": gain,
+        "seed_gain": seed_gain,
+        "overflow": overflow + jnp.maximum(in_view - room, 0),
+        "needed": needed,
+        "in_view": in_view,
+        "pose_gradient": pose_gradient,
+    }
 
 
 def _loss(
