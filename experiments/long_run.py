@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax import datasets, evaluation, slam
+from sfgs_jax.arrays import keep_freed_memory
 from sfgs_jax.datasets import Recording
 from sfgs_jax.geometry import Frame, Trajectory, se3
 
@@ -37,6 +38,7 @@ def main() -> None:
     )
     parser.add_argument("--without-map", action="store_true", help="poses alone: no table, the same error")
     options = parser.parse_args()
+    keep_freed_memory()  # as the command does
     recording = datasets.open_recording(options.source)
     if recording.ground_truth is None:
         raise SystemExit("The recording has no ground truth.")

@@ -26,6 +26,7 @@ from sfgs_jax.splatting._rendering import render as render
 from sfgs_jax.splatting._sorting import sort_by_tile_and_depth as sort_by_tile_and_depth
 from sfgs_jax.splatting._spherical_harmonics import rgb_to_sh as rgb_to_sh
 from sfgs_jax.splatting._spherical_harmonics import sh_to_rgb as sh_to_rgb
+from sfgs_jax.splatting._visibility import in_sight as in_sight
 from sfgs_jax.splatting.files import BACKGROUND_FILE as BACKGROUND_FILE
 from sfgs_jax.splatting.files import coloured_points as coloured_points
 from sfgs_jax.splatting.files import contents_of as contents_of

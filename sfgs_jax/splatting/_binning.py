@@ -88,8 +88,8 @@ def bin_into_tiles(
     tiles = columns * rows
     ellipses = _Ellipses.of(projected)
     if occluder is not None:
-        farthest = occluder.farthest(columns, rows, tile_size)
-        ellipses = ellipses.without(_hidden(ellipses, occluder.nearest, farthest, tile_size))
+        hidden = are_hidden(projected, occluder, width=width, height=height, tile_size=tile_size)
+        ellipses = ellipses.without(hidden)
     spans, num_spans = _row_spans(ellipses, columns, rows, tile_size, pair_capacity)
 
     entry, offset, num_pairs = _expand(spans.counts, pair_capacity)
@@ -229,18 +229,23 @@ class _Ellipses(eqx.Module):
         return (side * half - self.q * dv) / self.p
 
 
-def _hidden(
-    ellipses: _Ellipses,
-    nearest: Float[Array, " n"],
-    farthest: Float[Array, "rows columns"],
-    tile_size: int,
+def are_hidden(
+    projected: Projected, occluder: Occluder, *, width: int, height: int, tile_size: int
 ) -> Bool[Array, " n"]:
-    """Which Gaussians lie behind the surface in every tile that they reach.
+    """Mask of the Gaussians that lie behind the surface in every tile that they reach.
 
     Only those no larger than a tile are looked at, which reach two by two tiles at most. Nearly all are so
-    small, and those that are left out here need no room for pairs.
+    small, and those that are left out need no room for pairs.
+
+    Args:
+        projected: images of N Gaussians.
+        occluder: the surface.
+        width: of the image, pixels; static.
+        height: of the image, pixels; static.
+        tile_size: side of a tile, pixels; static.
     """
-    rows, columns = farthest.shape
+    columns, rows = tile_grid(width, height, tile_size)
+    ellipses, farthest = _Ellipses.of(projected), occluder.farthest(columns, rows, tile_size)
     below = jnp.concatenate([farthest[1:], farthest[-1:]])
     both = jnp.maximum(farthest, below)
     of_four = jnp.maximum(both, jnp.concatenate([both[:, 1:], both[:, -1:]], axis=1))
@@ -252,7 +257,7 @@ def _hidden(
     first_row, _ = _tile_range(ellipses.v - half_height, ellipses.v + half_height, rows, tile_size)
     first_column, _ = _tile_range(ellipses.u - half_width, ellipses.u + half_width, columns, tile_size)
     place = jnp.minimum(first_row, rows - 1) * columns + jnp.minimum(first_column, columns - 1)
-    return small & (nearest > of_four.reshape(-1)[place])
+    return small & (occluder.nearest > of_four.reshape(-1)[place])
 
 
 def _tile_range(

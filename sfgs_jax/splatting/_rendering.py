@@ -11,15 +11,12 @@ from jaxtyping import Array, Float, Int
 from sfgs_jax.arrays import InputError, checked_but
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter
-from sfgs_jax.splatting._binning import Occluder
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
 from sfgs_jax.splatting._gaussians import Gaussians, require_scene
 from sfgs_jax.splatting._projection import project
 from sfgs_jax.splatting._rasterization import rasterize, require_rows, with_a_free_slot
 from sfgs_jax.splatting._surface_depth import surface_depth_of, surface_features
-
-_DEVIATIONS = 3.0
-"""Standard deviations to which a Gaussian reaches towards the camera, at most."""
+from sfgs_jax.splatting._visibility import occluder_of
 
 
 class RenderOutput(eqx.Module):
@@ -135,10 +132,7 @@ def _render(
         columns.append(features)
     if slopes is not None:
         columns.append(surface_features(projected.centres, projected.depths, slopes, middle))
-    occluder = None
-    if hidden_beyond is not None:
-        reach = _DEVIATIONS * jnp.exp(jnp.max(gaussians.log_scales, axis=1))
-        occluder = Occluder(projected.depths - reach, hidden_beyond)
+    occluder = None if hidden_beyond is None else occluder_of(gaussians, projected, hidden_beyond)
     raster = rasterize(
         projected,
         jnp.concatenate(columns, axis=-1),

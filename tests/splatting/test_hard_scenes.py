@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 
 from sfgs_jax.geometry import se3
-from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, pair_capacity, render
+from sfgs_jax.splatting import GAUSSIAN_PARAMETERS, in_sight, pair_capacity, render
 from tests.splatting.scenes import (
     CONFIG,
     N,
@@ -213,3 +213,22 @@ def test_what_is_hidden_has_no_gradient(wall_and_room):
     slope = np.asarray(jax.grad(brightness)(scene.opacity_logits))
     assert not slope[~near].any()
     assert slope[near].any()
+
+
+def test_the_gaussians_in_sight_alone_make_the_same_images(wall_and_room):
+    scene, near, camera, pose, between = wall_and_room
+    small = replace(scene, log_scales=scene.log_scales - 3)
+    seen = in_sight(small, camera, pose, hidden_beyond=between, config=CONFIG)
+    every = in_sight(small, camera, pose, config=CONFIG)
+    assert 0 < seen.sum() < every.sum() < small.valid.sum()
+    assert not np.any(seen & ~every)
+    assert not np.any(every & ~seen & near), "what lies in front is not hidden"
+    draw = partial(render, camera=camera, T_world_cam=pose, config=CONFIG)
+    whole, alone = (draw(replace(small, valid=valid)) for valid in (small.valid, every))
+    np.testing.assert_array_equal(alone.rgb, whole.rgb)
+    hidden, front = (
+        draw(replace(small, valid=valid), hidden_beyond=between) for valid in (small.valid, seen)
+    )
+    np.testing.assert_array_equal(front.rgb, hidden.rgb)
+    assert int(front.needed) == int(hidden.needed)
+    assert np.abs(whole.rgb - hidden.rgb).max() > 0.01

@@ -24,7 +24,7 @@ from sfgs_jax.slam.state._gaussian_map import (
     with_rows,
 )
 from sfgs_jax.slam.state._map_state import View
-from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, l1, project, render, ssim
+from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, in_sight, l1, render, ssim
 
 _BETA2, _EPSILON = 0.999, 1e-15
 _MIN_ALPHA = 0.5
@@ -100,7 +100,7 @@ class MapStep(NamedTuple):
         overflow: pairs and Gaussians in view that did not fit. Where it is not 0 the rendering was
             incomplete and the map is as it was; repeat the step with more room.
         needed: room for pairs that the rendering needed, at least so much where some did not fit.
-        in_view: Gaussians that the view's camera sees.
+        in_view: Gaussians that the view's camera sees; in a comparison, those that are not hidden.
         pose_gradient: (6,) of the loss by the tangent of the view's pose, on the right.
     """
 
@@ -164,8 +164,8 @@ def compare_with_map(
 
     Gaussians that the view's surface hides are not drawn: in rooms behind rooms they are most of the map.
     """
-    _, in_view, seen = _seen(params, gaussian_map, view, T_world_cam)
-    return MapStep(map=gaussian_map, **_comparison(params, seen.gaussians, in_view, view, T_world_cam))
+    in_view, seen = _not_hidden(params, gaussian_map.gaussians, view, T_world_cam)
+    return MapStep(map=gaussian_map, **_comparison(params, seen, in_view, view, T_world_cam))
 
 
 @jax.jit
@@ -212,12 +212,34 @@ def _seen(
     Most of a map is out of view, and all that follows works on what is in it. Those that find no room are
     left out.
     """
-    projected, _ = project(gaussian_map.gaussians, params.camera, T_world_cam, _shutter(params, view))
-    slots = len(gaussian_map.updates)
-    room = min(params.view_capacity, slots)
-    (rows,) = jnp.nonzero(projected.visible, size=room, fill_value=slots)
-    rows = rows.astype(jnp.int32)
-    return rows, jnp.sum(projected.visible, dtype=jnp.int32), at_rows(gaussian_map, rows)
+    shown = in_sight(gaussian_map.gaussians, params.camera, T_world_cam, shutter=_shutter(params, view))
+    rows, count = _slots(shown, params.view_capacity)
+    return rows, count, at_rows(gaussian_map, rows)
+
+
+@jax.jit
+def _not_hidden(
+    params: MapParams, gaussians: Gaussians, view: View, T_world_cam: jaxlie.SE3
+) -> tuple[Int[Array, ""], Gaussians]:
+    """The Gaussians in view that the view's surface does not hide, after their number."""
+    hidden, shutter = _hidden_beyond(params, view), _shutter(params, view)
+    shown = in_sight(gaussians, params.camera, T_world_cam, shutter=shutter, hidden_beyond=hidden)
+    rows, count = _slots(shown, params.view_capacity)
+    return count, at_rows(gaussians, rows)
+
+
+def _slots(mask: Bool[Array, " n"], room: int) -> tuple[Int[Array, " v"], Int[Array, ""]]:
+    """Numbers of the slots of a mask, as far as there is room, and how many there are."""
+    slots = mask.shape[0]
+    (rows,) = jnp.nonzero(mask, size=min(room, slots), fill_value=slots)
+    return rows.astype(jnp.int32), jnp.sum(mask, dtype=jnp.int32)
+
+
+def _hidden_beyond(params: MapParams, view: View) -> Float[Array, "h w"]:
+    """Depth behind which a view shows nothing, metres."""
+    _, depth = seen_by(view, params.camera, params.timing)
+    # A surface within the margin behind the measured one still counts as that.
+    return depth * (1 + 2 * params.seeding.depth_margin)
 
 
 def _shutter(params: MapParams, view: View) -> RollingShutter | None:
@@ -266,8 +288,7 @@ def _loss(
     rgb, depth = seen_by(view, params.camera, params.timing)
     config, valid = RenderConfig(pair_capacity=params.pair_capacity), jnp.asarray(view.valid)
     drawn = with_parameters(gaussians, values)
-    # A surface within the margin behind the measured one still counts as that.
-    hidden = None if step else depth * (1 + 2 * params.seeding.depth_margin)
+    hidden = None if step else _hidden_beyond(params, view)
     shutter = _shutter(params, view)
     out = render(drawn, params.camera, T_world_cam, shutter=shutter, hidden_beyond=hidden, config=config)
     lacking = uncovered(out, depth, params.seeding)

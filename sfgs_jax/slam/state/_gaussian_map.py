@@ -1,6 +1,7 @@
 """The map: Gaussians of fixed capacity with the moments of their optimiser."""
 
 from dataclasses import replace
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -40,6 +41,9 @@ class GaussianMap(eqx.Module):
     keyframes: Int[Array, " n"]
 
 
+Slots = TypeVar("Slots", GaussianMap, Gaussians)
+
+
 def parameters(gaussians: Gaussians) -> Parameters:
     """The optimised fields by name."""
     return {name: getattr(gaussians, name) for name in GAUSSIAN_PARAMETERS}
@@ -69,14 +73,14 @@ def empty_map(capacity: int) -> GaussianMap:
     )
 
 
-def at_rows(gaussian_map: GaussianMap, rows: Int[Array, " v"]) -> GaussianMap:
+def at_rows(slots: Slots, rows: Int[Array, " v"]) -> Slots:
     """The same of some Gaussians alone.
 
     Args:
-        gaussian_map: N slots.
+        slots: a map of N slots, or its Gaussians.
         rows: (v,) slots to take; N gives a slot that is not in use.
     """
-    return jax.tree.map(lambda x: x.at[rows].get(mode="fill", fill_value=0), gaussian_map)
+    return jax.tree.map(lambda x: x.at[rows].get(mode="fill", fill_value=0), slots)
 
 
 def with_rows(gaussian_map: GaussianMap, rows: Int[Array, " v"], new: GaussianMap) -> GaussianMap:
