@@ -557,3 +557,16 @@ def test_the_refinement_has_its_room_before_its_time_begins(seeded, config, comp
     refined, _ = refine_once(prepared, camera, config.mapping, number=0, done=0.0, seed=0)
     assert not compilations
     assert refined.view_capacity == prepared.view_capacity
+
+
+def test_the_refinement_has_room_for_a_view_that_is_not_tried(seeded, config):
+    """Nineteen views look away; the one that does not comes late in the order of the refinement."""
+    mapping, camera, (view,) = seeded.mapping, seeded.mapping_camera, seeded.mapping.views
+    away = replace(view, T_keyframe_cam=se3.exp(jnp.asarray([0.0, 0, 0, 0, jnp.pi, 0])))
+    late = int(np.random.default_rng([0, 0]).permutation(20)[-1])
+    views = tuple(view if number == late else away for number in range(20))
+    prepared = prepare_refinement(
+        replace(mapping, views=views, view_capacity=8), camera, config.mapping, seed=0
+    )
+    _, seen = step_on_view(mapping, 0, camera, config.mapping)
+    assert prepared.view_capacity >= int(seen.in_view) > 64

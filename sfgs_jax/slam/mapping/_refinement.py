@@ -16,12 +16,15 @@ from sfgs_jax.geometry import Camera
 from sfgs_jax.slam.config import MappingConfig
 from sfgs_jax.slam.mapping._paging import with_surface_of
 from sfgs_jax.slam.mapping._view_insertion import fill
-from sfgs_jax.slam.mapping._view_step import step_on_view
+from sfgs_jax.slam.mapping._view_step import pose_of, step_on_view, view_room
 from sfgs_jax.slam.state._gaussian_map import grow
-from sfgs_jax.slam.state._map_state import MapState
+from sfgs_jax.slam.state._map_state import MapState, View
+from sfgs_jax.splatting import in_sight
 
 _TRIED = 8
 """Views that are tried. Gaussians that were set after a view was taken need room too."""
+_LOOKED_AT = 64
+"""Views whose Gaussians in view are counted, spread over all."""
 _ALMOST_FULL = 7 / 8
 """Share of the map's slots in use, beyond which it grows before the refinement."""
 _ROUND = 256
@@ -31,8 +34,9 @@ _ROUND = 256
 def prepare_refinement(mapping: MapState, camera: Camera, config: MappingConfig, *, seed: int) -> MapState:
     """The map with the room that its first steps need, and with their programs compiled.
 
-    A map that is almost full has no room for what is filled, so it grows. Room for pairs and for Gaussians
-    in view is found by taking the steps, which are then forgotten. Compilation takes as long as many of them.
+    A map that is almost full has no room for what is filled, so it grows. While the run lasted, what a view's
+    surface hides was left out, so the Gaussians in view are counted anew. Room for pairs is found by taking
+    the steps, which are then forgotten. Compilation takes as long as many of them.
 
     Args:
         mapping: the map and at least one view.
@@ -41,13 +45,25 @@ def prepare_refinement(mapping: MapState, camera: Camera, config: MappingConfig,
         seed: of the order of the views.
     """
     capacity = len(mapping.map.updates)
-    most = min(config.max_capacity, config.gaussians_in_memory)
-    if np.mean(mapping.map.gaussians.valid) > _ALMOST_FULL and 2 * capacity <= most:
+    largest = min(config.max_capacity, config.gaussians_in_memory)
+    if np.mean(mapping.map.gaussians.valid) > _ALMOST_FULL and 2 * capacity <= largest:
         mapping = replace(mapping, map=grow(mapping.map))
+    most = max(_count_in_view(mapping, view, camera) for view in _spread(mapping.views))
+    mapping = replace(mapping, view_capacity=max(mapping.view_capacity, view_room(most)))
     for number in range(min(_TRIED, len(mapping.views))):
         stepped, _ = refine_once(mapping, camera, config, number=number, done=0.0, seed=seed)
         mapping = replace(mapping, pair_capacity=stepped.pair_capacity, view_capacity=stepped.view_capacity)
     return mapping
+
+
+def _spread(views: tuple[View, ...]) -> tuple[View, ...]:
+    """A few views, evenly among all."""
+    return views[:: max(1, len(views) // _LOOKED_AT)]
+
+
+def _count_in_view(mapping: MapState, view: View, camera: Camera) -> int:
+    """Gaussians that a view's camera sees."""
+    return int(np.sum(in_sight(mapping.map.gaussians, camera, pose_of(view, mapping))))
 
 
 def refine_once(
