@@ -365,7 +365,7 @@ def test_the_quality_of_a_small_map(refined, frames):
 
 
 def test_refinement_turns_views_and_their_neighbours_to_where_the_images_fit(refined, rng):
-    """Of a map that stays as it is; views are turned by a third of a degree at first, about half a pixel."""
+    """The map stays as it is; its views are turned by a third of a degree at first, about half a pixel."""
     state, mapping, _ = refined
     turns = rng.normal(0, 0.006 / np.sqrt(3), (len(mapping.views), 6)) * [0, 0, 0, 1, 1, 1]
     views = tuple(

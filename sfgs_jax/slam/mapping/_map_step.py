@@ -153,7 +153,7 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
     """
     rows, in_view, seen = _seen(params, gaussian_map, view, T_world_cam)
     stepped, found = _stepped(params, seen, in_view, view, T_world_cam)
-    return MapStep(map=_with_rows(gaussian_map, rows, stepped), **found)
+    return MapStep(map=with_rows(gaussian_map, rows, stepped), **found)
 
 
 @checked
@@ -183,11 +183,14 @@ def _stepped(
     gradients, pose_gradient = both
     found = _found(loss, about, in_view, len(seen.updates), pose_gradient)
 
-    def stepped(before: GaussianMap, gradients: Parameters) -> GaussianMap:
-        return _adam(before, gradients, params.config, params.rate)
-
     # In one piece with the gradients, Adam's loops would compute parts of them again: a fifth of the step.
-    after = jax.lax.cond(found["overflow"] == 0, stepped, lambda before, _: before, seen, gradients)
+    after = jax.lax.cond(
+        found["overflow"] == 0,
+        lambda before, slopes: _adam(before, slopes, params.config, params.rate),
+        lambda before, _: before,
+        seen,
+        gradients,
+    )
     return after, found
 
 
@@ -200,20 +203,12 @@ def _comparison(
     return _found(loss, about, in_view, seen.valid.shape[0], jnp.zeros(6))
 
 
-_with_rows = jax.jit(with_rows)
-
-
 @jax.jit
 def _seen(
     params: MapParams, gaussian_map: GaussianMap, view: View, T_world_cam: jaxlie.SE3
 ) -> tuple[Int[Array, " v"], Int[Array, ""], GaussianMap]:
-    """Slots of the Gaussians that the view's camera sees, how many it sees, and what the slots hold.
-
-    Most of a map is out of view, and all that follows works on what is in it. Those that find no room are
-    left out.
-    """
-    shown = in_sight(gaussian_map.gaussians, params.camera, T_world_cam, shutter=_shutter(params, view))
-    rows, count = _slots(shown, params.view_capacity)
+    """Slots of the Gaussians that the view's camera sees, how many it sees, and what the slots hold."""
+    rows, count = _rows_in_sight(params, gaussian_map.gaussians, view, T_world_cam)
     return rows, count, at_rows(gaussian_map, rows)
 
 
@@ -222,16 +217,25 @@ def _not_hidden(
     params: MapParams, gaussians: Gaussians, view: View, T_world_cam: jaxlie.SE3
 ) -> tuple[Int[Array, ""], Gaussians]:
     """The Gaussians in view that the view's surface does not hide, after their number."""
-    hidden, shutter = _hidden_beyond(params, view), _shutter(params, view)
-    shown = in_sight(gaussians, params.camera, T_world_cam, shutter=shutter, hidden_beyond=hidden)
-    rows, count = _slots(shown, params.view_capacity)
+    rows, count = _rows_in_sight(params, gaussians, view, T_world_cam, _hidden_beyond(params, view))
     return count, at_rows(gaussians, rows)
 
 
-def _slots(mask: Bool[Array, " n"], room: int) -> tuple[Int[Array, " v"], Int[Array, ""]]:
-    """Numbers of the slots of a mask, as far as there is room, and how many there are."""
+def _rows_in_sight(
+    params: MapParams,
+    gaussians: Gaussians,
+    view: View,
+    T_world_cam: jaxlie.SE3,
+    hidden_beyond: Float[Array, "h w"] | None = None,
+) -> tuple[Int[Array, " v"], Int[Array, ""]]:
+    """Slots of the Gaussians in sight of a view's camera, as far as there is room, and how many there are.
+
+    Most of a map is out of view, and all that follows works on what is in it.
+    """
+    shutter = _shutter(params, view)
+    mask = in_sight(gaussians, params.camera, T_world_cam, shutter=shutter, hidden_beyond=hidden_beyond)
     slots = mask.shape[0]
-    (rows,) = jnp.nonzero(mask, size=min(room, slots), fill_value=slots)
+    (rows,) = jnp.nonzero(mask, size=min(params.view_capacity, slots), fill_value=slots)
     return rows.astype(jnp.int32), jnp.sum(mask, dtype=jnp.int32)
 
 

@@ -83,6 +83,7 @@ def at_rows(slots: Slots, rows: Int[Array, " v"]) -> Slots:
     return jax.tree.map(lambda x: x.at[rows].get(mode="fill", fill_value=0), slots)
 
 
+@jax.jit
 def with_rows(gaussian_map: GaussianMap, rows: Int[Array, " v"], new: GaussianMap) -> GaussianMap:
     """The map after an optimiser's step on some Gaussians.
 
