@@ -23,7 +23,9 @@ are linear in x. So a Gaussian's six gradients are combinations of six moments o
 Source: the equations of Kerbl et al., 3D Gaussian splatting, 2023.
 """
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -42,11 +44,24 @@ MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 """A Gaussian that would leave less light than this ends its pixel's list, and is not drawn itself."""
 
-_CHUNK = 8
-"""Gaussians per tile and step."""
 
-_BLOCK_PIXELS = 16_384
-"""Pixels per block: few enough for the cache, enough to keep the cores busy."""
+class _Portions(NamedTuple):
+    """How much is drawn at once.
+
+    Attributes:
+        chunk: Gaussians per tile and step.
+        block_pixels: pixels per block.
+    """
+
+    chunk: int
+    block_pixels: int
+
+
+_OF_A_CPU = _Portions(chunk=8, block_pixels=16_384)
+"""Few enough pixels for the cache, enough to keep the cores busy."""
+
+_OF_AN_ACCELERATOR = _Portions(chunk=16, block_pixels=1_048_576)
+"""An image is one block: starting a step costs more there than its empty places. The bound is for memory."""
 
 _NOTHING = -1e4
 """Log opacity of an empty place; its exponential is 0, and unlike -inf it makes no NaN."""
@@ -61,6 +76,7 @@ class _Blocks(eqx.Module):
         starts: (blocks, B) position in `TileLists.gaussians` at which each list begins.
         counts: (blocks, B) length of each list.
         centres: (blocks, B, 2) centres of the tiles, pixels (u, v).
+        chunk: K, Gaussians per tile and step.
     """
 
     tiles: Int[Array, " places"]
@@ -68,13 +84,16 @@ class _Blocks(eqx.Module):
     starts: Int[Array, "blocks b"]
     counts: Int[Array, "blocks b"]
     centres: Float[Array, "blocks b 2"]
+    chunk: int = eqx.field(static=True)
 
 
-def _make_blocks(lists: TileLists, grid: tuple[int, int], tile_size: int, dtype: jnp.dtype) -> _Blocks:
+def _make_blocks(
+    lists: TileLists, grid: tuple[int, int], tile_size: int, dtype: jnp.dtype, portions: _Portions
+) -> _Blocks:
     """Blocks of the tiles of one or more images, each with so many columns and rows of tiles."""
     tiles, capacity, (columns, rows) = lists.counts.shape[0], lists.gaussians.shape[0], grid
     # Blocks of one size, so that the last is not mostly empty lists.
-    blocks = -(-tiles // max(1, _BLOCK_PIXELS // tile_size**2))
+    blocks = -(-tiles // max(1, portions.block_pixels // tile_size**2))
     size = -(-tiles // blocks)
     order = stable_argsort((capacity - lists.counts).astype(jnp.uint32))
     empty = -tiles % size
@@ -91,6 +110,7 @@ def _make_blocks(lists: TileLists, grid: tuple[int, int], tile_size: int, dtype:
         starts=blocked(lists.starts),
         counts=blocked(lists.counts),
         centres=blocked(corners.astype(dtype) + (tile_size - 1) / 2),
+        chunk=portions.chunk,
     )
 
 
@@ -134,7 +154,7 @@ def _indices(lists: TileLists, blocks: _Blocks, block: Array, step: Array, past:
     Loops carry them from one step to the next. If they were computed at their use, XLA would look each up
     again for every column of the table.
     """
-    place = step * _CHUNK + jnp.arange(_CHUNK, dtype=jnp.int32)[None]
+    place = step * blocks.chunk + jnp.arange(blocks.chunk, dtype=jnp.int32)[None]
     live = place < blocks.counts[block][:, None]
     at = jnp.where(live, blocks.starts[block][:, None] + place, 0)
     return jnp.where(live, lists.gaussians[at], past)
@@ -216,25 +236,43 @@ def _forward(
     table: Float[Array, "n d"], lists: TileLists, width: int, height: int, tile_size: int
 ) -> tuple[tuple[Array, Array], tuple]:
     """The images, and what the gradient needs."""
-    draw = with_views_as_one(partial(_draw, width=width, height=height, tile_size=tile_size))
+    draw = _of_views(_draw, width=width, height=height, tile_size=tile_size)
     images, passed = draw(table, lists)
     return (images[0], passed[0]), (table, lists, images)
 
 
 def _backward(width: int, height: int, tile_size: int, residuals: tuple, cotangents: tuple) -> tuple:
     """The gradient by the table; the lists have none."""
-    walk = with_views_as_one(partial(_walk, width=width, height=height, tile_size=tile_size))
+    walk = _of_views(_walk, width=width, height=height, tile_size=tile_size)
     return walk(*residuals, cotangents[0][None]), None
 
 
 composite.defvjp(_forward, _backward)
 
 
+def _of_views(function: Callable[..., Any], **sizes: int) -> Callable[..., Any]:
+    """`function` for the tiles of one or more views, in the portions that suit what it is compiled for."""
+    on_a_cpu, elsewhere = (
+        partial(function, portions=portions, **sizes) for portions in (_OF_A_CPU, _OF_AN_ACCELERATOR)
+    )
+
+    def of_platform(*arguments: Any) -> Any:
+        return jax.lax.platform_dependent(*arguments, cpu=on_a_cpu, default=elsewhere)
+
+    return with_views_as_one(of_platform)
+
+
 def _draw(
-    table: Float[Array, "n d"], lists: TileLists, *, width: int, height: int, tile_size: int
+    table: Float[Array, "n d"],
+    lists: TileLists,
+    *,
+    portions: _Portions,
+    width: int,
+    height: int,
+    tile_size: int,
 ) -> tuple[Float[Array, "v c h w"], Int[Array, "v h w"]]:
     """Both images of `composite`, of each view."""
-    blocks = _make_blocks(lists, tile_grid(width, height, tile_size), tile_size, table.dtype)
+    blocks = _make_blocks(lists, tile_grid(width, height, tile_size), tile_size, table.dtype, portions)
     count, size = blocks.counts.shape
     pixels, channels = tile_size**2, table.shape[1] - 5
     indices = partial(_indices, lists, blocks, past=table.shape[0])
@@ -244,7 +282,7 @@ def _draw(
 
         def more(state: tuple[Array, ...]) -> Array:
             step, _, transmittance, _, _ = state
-            return (step * _CHUNK < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
+            return (step * blocks.chunk < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
 
         def draw(state: tuple[Array, ...]) -> tuple[Array, ...]:
             step, index, transmittance, out, passed = state
@@ -252,7 +290,7 @@ def _draw(
             alphas = _alphas(chunk, tile_size)
             features = jnp.concatenate([chunk.features, jnp.ones_like(chunk.features[..., :1])], axis=-1)
             features = features.transpose(1, 2, 0)[..., None]
-            for i in range(_CHUNK):
+            for i in range(blocks.chunk):
                 after = transmittance * (1 - alphas[:, i])
                 weight = jnp.where(after >= MIN_TRANSMITTANCE, transmittance * alphas[:, i], 0)
                 out = out + features[i] * weight[None]
@@ -283,12 +321,13 @@ def _walk(
     images: Float[Array, "v c h w"],
     cotangents: Float[Array, "v c h w"],
     *,
+    portions: _Portions,
     width: int,
     height: int,
     tile_size: int,
 ) -> Float[Array, "n d"]:
     """Gradient by the table: the lists are walked once more, nearest first."""
-    blocks = _make_blocks(lists, tile_grid(width, height, tile_size), tile_size, table.dtype)
+    blocks = _make_blocks(lists, tile_grid(width, height, tile_size), tile_size, table.dtype, portions)
     count, size = blocks.counts.shape
     # <g, out> of every pixel goes along as one more channel.
     total = jnp.sum(cotangents * images, axis=1, keepdims=True)
@@ -302,7 +341,7 @@ def _walk(
 
         def more(state: tuple[Array, ...]) -> Array:
             step, _, transmittance, _, _ = state
-            return (step * _CHUNK < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
+            return (step * blocks.chunk < longest) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
 
         def walk(state: tuple[Array, ...]) -> tuple[Array, ...]:
             step, index, transmittance, behind, gradients = state
@@ -328,7 +367,7 @@ def _weights(
 ) -> tuple[Float[Array, "b k p"], Float[Array, "b p"]]:
     """Weights w of a chunk, and the transmittance behind it."""
     before, after = [], []
-    for i in range(_CHUNK):
+    for i in range(alphas.shape[1]):
         before.append(transmittance)
         transmittance = transmittance * (1 - alphas[:, i])
         after.append(transmittance)
@@ -356,7 +395,7 @@ def _exponent_gradients(
     """dL/d(exponent) of a chunk, and the sum of h over what lies behind it."""
     h = weights * toward
     left = []
-    for i in range(_CHUNK):
+    for i in range(alphas.shape[1]):
         behind = behind - h[:, i]
         left.append(behind)
     moves = (weights > 0) & (alphas < MAX_ALPHA)
