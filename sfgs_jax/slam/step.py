@@ -17,7 +17,7 @@ from sfgs_jax.slam._frame_brightness import look_of
 from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import with_corrected_depth
-from sfgs_jax.slam.keyframes import advance_graph, with_new_keyframes
+from sfgs_jax.slam.keyframes import Registrations, advance_graph, with_new_keyframes
 from sfgs_jax.slam.mapping import becomes_extra_view, becomes_view, map_frame, view_of
 from sfgs_jax.slam.state import (
     SlamState,
@@ -80,15 +80,28 @@ def step(
 
 @checked_but("frame")
 def follow(
-    state: SlamState, frame: Frame, *, number: int | None = None, stages: Stages = untimed
+    state: SlamState,
+    frame: Frame,
+    *,
+    number: int | None = None,
+    stages: Stages = untimed,
+    registrations: Registrations | None = None,
 ) -> Followed:
     """Find a frame's pose and bring the graph up to date; the map is left to its owner.
 
-    Arguments and errors as of `step`.
+    Args:
+        state: as of `step`, which has the same errors.
+        frame: likewise.
+        number: likewise.
+        stages: likewise.
+        registrations: those of the run's keyframes that no frame waits for; if not given, this one waits.
     """
     check_frame(frame, state.camera, state.last_timestamp)
     number, time = state.next_frame if number is None else number, float(frame.timestamp)
     params, config, before = state.params, state.config.graph, state
+    registrations = registrations or Registrations()
+    if _newest_is_tracked(before):
+        registrations.begin(params, before.graph, config)
     with stages("tracking"):
         state, found, info, covariance = find_pose(state, frame, number)
     if found is None:
@@ -98,7 +111,7 @@ def follow(
         frames = (before.log.newest, number)
         graph = with_new_keyframes(params, before.graph, before.tracker, found, frames, config)
         grown = len(graph.keyframes) > len(before.graph.keyframes)
-        graph, closed = advance_graph(params, graph, config, grown=grown)
+        graph, closed = advance_graph(params, graph, config, grown=grown, registered=registrations.take())
         state = with_graph(state, graph)
     keyframe, T_keyframe_cam = int(found.info.reference), found.info.T_reference_cam
     if info.new_keyframe:
@@ -118,3 +131,11 @@ def follow(
     info = info._replace(T_world_cam=state.T_world_cam, covariance=covariance)
     info = info._replace(new_view=due, loop_closed=closed)
     return Followed(state, info, view)
+
+
+def _newest_is_tracked(state: SlamState) -> bool:
+    """Whether the newest frame was tracked, and so probably the next will be.
+
+    A lost frame leaves the graph alone: registrations begun for it would be made again for the next.
+    """
+    return state.log.newest == state.next_frame - 1

@@ -17,7 +17,6 @@ from sfgs_jax.slam.keyframes._edges import edge_of as edge_of
 from sfgs_jax.slam.keyframes._edges import prior_noise as prior_noise
 from sfgs_jax.slam.keyframes._edges import relative_poses as relative_poses
 from sfgs_jax.slam.keyframes._graph_step import advance_graph as advance_graph
-from sfgs_jax.slam.keyframes._graph_step import register_pair as register_pair
 from sfgs_jax.slam.keyframes._insertion import Reference as Reference
 from sfgs_jax.slam.keyframes._insertion import first_keyframe as first_keyframe
 from sfgs_jax.slam.keyframes._insertion import insert_keyframe as insert_keyframe
@@ -34,6 +33,9 @@ from sfgs_jax.slam.keyframes._loops import likely_drift as likely_drift
 from sfgs_jax.slam.keyframes._loops import loop_pairs as loop_pairs
 from sfgs_jax.slam.keyframes._loops import with_candidate as with_candidate
 from sfgs_jax.slam.keyframes._merging import merged as merged
+from sfgs_jax.slam.keyframes._pair_registration import RegisteredPair as RegisteredPair
+from sfgs_jax.slam.keyframes._pair_registration import Registrations as Registrations
+from sfgs_jax.slam.keyframes._pair_registration import registered_pairs as registered_pairs
 from sfgs_jax.slam.keyframes._pose_graph import bend as bend
 from sfgs_jax.slam.keyframes._pose_graph import compile_ahead as compile_ahead
 from sfgs_jax.slam.keyframes._pose_graph import is_contradicted as is_contradicted

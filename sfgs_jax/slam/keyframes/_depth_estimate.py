@@ -10,11 +10,10 @@ from sfgs_jax.arrays import checked
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
 from sfgs_jax.slam.frontend import depth_parameters_in_use
-from sfgs_jax.slam.keyframes._depth_equations import depth_equations
+from sfgs_jax.slam.keyframes._depth_equations import DepthEquations
 from sfgs_jax.slam.keyframes._edges import edge_of
 from sfgs_jax.slam.keyframes._rectification_anew import rows_known
 from sfgs_jax.slam.state._depth_information import DepthPrior, depth_prior, with_extrinsic
-from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 from sfgs_jax.slam.state._slam_state import SlamState
@@ -29,7 +28,7 @@ def with_registration(
     graph: KeyframeGraph,
     target: int,
     source: int,
-    features: tuple[FrameFeatures, FrameFeatures],
+    equations: DepthEquations | None,
     found: Registration,
     config: GraphConfig,
     *,
@@ -42,15 +41,14 @@ def with_registration(
         graph: before; it does not get the edge.
         target: number of the keyframe registered to.
         source: number of the keyframe registered.
-        features: of both, target and source, with the correction of depth of `params`.
+        equations: of the registration; none where depth is not corrected.
         found: the registration, with the correction of depth of `params`.
         config: settings.
         told: whether the registration is believed, and the estimate of depth may hear it.
     """
-    if params.depth_correction is None:
+    if equations is None:
         return graph, edge_of(target, source, found, config)
     in_use = depth_parameters_in_use(params)
-    equations = depth_equations(params, features[1], features[0], found)
     edge = replace(
         edge_of(target, source, found, config),
         depth_parameters=in_use,

@@ -13,6 +13,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import Found, depth_parameters_in_use, estimated_timing, features_in_use
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
+from sfgs_jax.slam.keyframes._depth_equations import equations_of
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
@@ -136,8 +137,8 @@ def insert_keyframe(
     if not config.enabled:
         return graph
     graph = share_landmarks(graph, reference, source, found)
-    both = features_in_use(params, graph.keyframes[reference]), new.features
-    graph, edge = with_registration(params, graph, reference, source, both, found, config)
+    equations = equations_of(params, new.features, features_in_use(params, graph.keyframes[reference]), found)
+    graph, edge = with_registration(params, graph, reference, source, equations, found, config)
     graph = replace(graph, edges=(*graph.edges, edge))
     near = neighbours(graph, config)
     far = tuple(pair for pair in loop_pairs(graph, config) if pair not in near and pair[0] != reference)

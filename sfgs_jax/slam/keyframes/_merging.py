@@ -9,24 +9,17 @@ from jaxtyping import Int
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import confirms_loop
-from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_taken
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._edges import motions_of
 from sfgs_jax.slam.keyframes._loops import agreeing, with_candidate
-from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.keyframes._pair_registration import RegisteredPair
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._maps import maps_of
-from sfgs_jax.slam.state._tracker import TrackerParams
 
 
 def with_bridge_tried(
-    params: TrackerParams,
-    graph: KeyframeGraph,
-    target: int,
-    source: int,
-    features: tuple[FrameFeatures, FrameFeatures],
-    config: GraphConfig,
+    graph: KeyframeGraph, pair: RegisteredPair, config: GraphConfig
 ) -> tuple[KeyframeGraph, bool]:
     """The graph after keyframes of two maps were registered, and whether the maps became one by that.
 
@@ -34,17 +27,16 @@ def with_bridge_tried(
     loops have to agree than within one map.
 
     Args:
-        params: parameters of tracking.
         graph: before.
-        target: number of the keyframe to register to.
-        source: number of the keyframe to register.
-        features: of both, target and source.
+        pair: the keyframes, one of each map, registered.
         config: settings.
     """
-    found = register(params, features[1], features[0], se3.identity(), guess_known=False)
+    target, source, found = pair.target, pair.source, pair.found
     if not confirms_loop(found, config):
         return graph, False
-    graph, candidate = with_registration(params, graph, target, source, features, found, config, told=False)
+    graph, candidate = with_registration(
+        pair.params, graph, target, source, pair.equations, found, config, told=False
+    )
     graph = with_candidate(graph, candidate, config)
     maps = maps_of(graph)
     ends = {int(maps[target]), int(maps[source])}

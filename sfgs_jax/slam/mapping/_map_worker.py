@@ -28,6 +28,8 @@ Spill = Callable[[MapState], MapState]
 
 MAX_KEYFRAMES_WAITING = 2
 """Views of keyframes beyond which a thread does not wait until the tracker is idle."""
+PATIENCE = 0.002
+"""Seconds that the tracker waits for a frame before the thread begins: a frame that is there comes sooner."""
 MAX_VIEWS_WAITING = 64
 """Ordinary views that wait; beyond them the oldest is dropped, as a similar one came soon after it."""
 
@@ -95,8 +97,8 @@ class InlineMapWorker:
 class ThreadedMapWorker:
     """Maps in a thread of its own, in the time that tracking leaves.
 
-    It inserts one view or does one map step at a time. It begins only while the tracker waits for a frame,
-    because views can wait longer than frames.
+    It inserts one view or does one map step at a time. It begins only while the tracker waits for a frame
+    that is not there yet, because views can wait longer than frames.
     """
 
     def __init__(
@@ -185,7 +187,7 @@ class ThreadedMapWorker:
         try:
             while True:
                 with self._changed:
-                    self._changed.wait_for(self._may_begin)
+                    self._wait_for_work()
                     keyframes = self._keyframes
                     waiting = self._keyframe_views or self._other_views
                     view = waiting.popleft() if waiting else None
@@ -198,10 +200,18 @@ class ThreadedMapWorker:
         except BaseException as error:
             self._failure = error
 
+    def _wait_for_work(self) -> None:
+        while True:
+            self._changed.wait_for(self._may_begin)
+            if self._has_to_begin() or not self._changed.wait_for(lambda: not self._idle, PATIENCE):
+                return
+
+    def _has_to_begin(self) -> bool:
+        return self._ended or len(self._keyframe_views) > MAX_KEYFRAMES_WAITING
+
     def _may_begin(self) -> bool:
-        if self._ended or len(self._keyframe_views) > MAX_KEYFRAMES_WAITING:
-            return True
-        return self._idle and bool(self._keyframe_views or self._other_views or self._mapping.views)
+        has_work = bool(self._keyframe_views or self._other_views or self._mapping.views)
+        return self._has_to_begin() or (self._idle and has_work)
 
     def _insert(self, view: View, keyframes: _Keyframes) -> None:
         with self._stages("view"):

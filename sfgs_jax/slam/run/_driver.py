@@ -11,12 +11,22 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from sfgs_jax.arrays import FrameError, InputError, Text, checked, excerpt, printed_fields, return_free_memory
+from sfgs_jax.arrays import (
+    FrameError,
+    InputError,
+    Text,
+    checked,
+    excerpt,
+    printed_fields,
+    return_free_memory,
+    short_turns,
+)
 from sfgs_jax.geometry import Camera, Frame, Trajectory, same_camera
 from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
+from sfgs_jax.slam.keyframes import Registrations
 from sfgs_jax.slam.mapping import (
     InlineMapWorker,
     MapWorker,
@@ -266,13 +276,10 @@ def run(
     _stored(result, result.state, storage, _without_other_images)
     result.advance(state=_stored(result, result.state, storage, spill))
     worker = _map_worker(result, config, storage, realtime=realtime)
+    registrations = Registrations(are_awaited=False) if realtime else None
     try:
-        for number, frame in worker.frames(frames):
-            found = _advance(result, number, frame, worker, storage)
-            observer(_progress(result, frame, found))
-            _check_skipped(result)
-            if result.num_frames % _TRIM_EVERY == 0:
-                Thread(target=return_free_memory, name="sfgs_jax heap", daemon=True).start()
+        with short_turns():
+            _follow_all(result, frames, worker, observer, storage, registrations)
         if not result.is_finished:
             _finish(result, worker)
         refine(result, observer)
@@ -286,6 +293,23 @@ def run(
         worker.stop()
         raise
     return result
+
+
+def _follow_all(
+    result: Run,
+    frames: Frames,
+    worker: MapWorker,
+    observer: Observer,
+    storage: Path | None,
+    registrations: Registrations | None,
+) -> None:
+    """The run after all frames of its source."""
+    for number, frame in worker.frames(frames):
+        found = _advance(result, number, frame, worker, storage, registrations)
+        observer(_progress(result, frame, found))
+        _check_skipped(result)
+        if result.num_frames % _TRIM_EVERY == 0:
+            Thread(target=return_free_memory, name="sfgs_jax heap", daemon=True).start()
 
 
 def _map_worker(result: Run, config: SlamConfig, storage: Path | None, *, realtime: bool) -> MapWorker:
@@ -315,7 +339,12 @@ def _check_resumed(run: Run, camera: Camera, config: SlamConfig) -> None:
 
 
 def _advance(
-    run: Run, number: int, frame: Frame | FrameError, worker: MapWorker, storage: Path | None
+    run: Run,
+    number: int,
+    frame: Frame | FrameError,
+    worker: MapWorker,
+    storage: Path | None,
+    registrations: Registrations | None,
 ) -> StepInfo | FrameError:
     """The run after a frame, or after one that can't be used, whose error is returned."""
     state = run.state
@@ -323,7 +352,9 @@ def _advance(
         if isinstance(frame, FrameError):
             raise frame
         with run.stopwatch("frame"):
-            state, found, view = follow(state, frame, number=number, stages=run.stopwatch)
+            state, found, view = follow(
+                state, frame, number=number, stages=run.stopwatch, registrations=registrations
+            )
             if found.tracked:
                 found = found._replace(loss=worker.learn(state, view))
     except FrameError as error:

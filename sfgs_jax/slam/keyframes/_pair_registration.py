@@ -1,0 +1,140 @@
+"""Registration of waiting pairs of keyframes, in a thread beside the tracker or at once."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import jaxlie
+import numpy as np
+from jaxtyping import Float
+
+from sfgs_jax.geometry import se3
+from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.frontend import features_in_use
+from sfgs_jax.slam.frontend._joint_registration import register
+from sfgs_jax.slam.keyframes._depth_equations import DepthEquations, equations_of
+from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._maps import maps_of
+from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.slam.state._tracker import TrackerParams
+
+_beside = ThreadPoolExecutor(1, thread_name_prefix="sfgs_jax registrations")
+"""A thread of their own: a frame waits for its registrations, and an adjustment may take as long as ten."""
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredPair:
+    """A pair of keyframes, registered.
+
+    Attributes:
+        params: parameters of tracking of that time.
+        target: number of the keyframe registered to.
+        source: number of the keyframe registered.
+        kept: features of both as the graph had them.
+        are_apart: whether they were in two maps, so that nobody knew where they lie to each other.
+        found: the registration.
+        equations: of the errors of depth; none where depth is not corrected.
+    """
+
+    params: TrackerParams
+    target: int
+    source: int
+    kept: tuple[FrameFeatures, FrameFeatures]
+    are_apart: bool
+    found: Registration
+    equations: DepthEquations | None
+
+    def holds(self, graph: KeyframeGraph) -> bool:
+        """Whether a later graph has both keyframes as they were registered.
+
+        Args:
+            graph: that holds them.
+        """
+        keyframes = graph.keyframes[self.target], graph.keyframes[self.source]
+        if any(keyframe.features is not kept for keyframe, kept in zip(keyframes, self.kept, strict=True)):
+            return False
+        if not self.are_apart:
+            return True  # maps become one, but never fall apart
+        maps = maps_of(graph)
+        return bool(maps[self.target] != maps[self.source])
+
+
+class Registrations:
+    """Registrations of waiting pairs, made in a thread while frames are tracked."""
+
+    def __init__(self, *, are_awaited: bool = True) -> None:
+        """Without any.
+
+        Args:
+            are_awaited: whether a frame waits for what was begun before it, so that a run repeats itself.
+                Otherwise a later frame takes it, once it is there.
+        """
+        self._are_awaited = are_awaited
+        self._begun: Future[tuple[RegisteredPair, ...]] | None = None
+
+    def begin(self, params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> None:
+        """Register the pairs whose turn it is, unless others are under way.
+
+        Args:
+            params: parameters of tracking.
+            graph: before a frame.
+            config: settings.
+        """
+        if self._begun is None:
+            self._begun = _beside.submit(registered_pairs, params, graph, config)
+
+    def take(self) -> tuple[RegisteredPair, ...] | None:
+        """Pairs that a frame's graph is to take; None if a frame is to register them itself."""
+        begun = self._begun
+        if begun is None:
+            return None if self._are_awaited else ()
+        if not (self._are_awaited or begun.done()):
+            return ()
+        self._begun = None
+        return begun.result()
+
+
+def registered_pairs(
+    params: TrackerParams, graph: KeyframeGraph, config: GraphConfig
+) -> tuple[RegisteredPair, ...]:
+    """The waiting pairs whose turn it is after a frame, registered from where the graph has them.
+
+    A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster.
+
+    Args:
+        params: parameters of tracking.
+        graph: before.
+        config: settings.
+    """
+    waiting = (*graph.pending, *graph.again)
+    turn = waiting[: max(config.registrations_per_frame, len(waiting) // config.backlog)]
+    maps = maps_of(graph) if turn else ()
+    return tuple(_registered(params, graph, pair, bool(maps[pair[0]] != maps[pair[1]])) for pair in turn)
+
+
+def _registered(
+    params: TrackerParams, graph: KeyframeGraph, pair: tuple[int, int], are_apart: bool
+) -> RegisteredPair:
+    target, source = (graph.keyframes[number] for number in pair)
+    fixed, moving = features_in_use(params, target), features_in_use(params, source)
+    guess = se3.identity() if are_apart else _by_poses(graph, pair)
+    found = register(params, moving, fixed, guess, guess_known=not are_apart)
+    equations = equations_of(params, moving, fixed, found)
+    return RegisteredPair(params, *pair, (target.features, source.features), are_apart, found, equations)
+
+
+def _by_poses(graph: KeyframeGraph, pair: tuple[int, int]) -> jaxlie.SE3:
+    """T_target_source as the graph has it."""
+    target, source = (graph.pose(number) for number in pair)
+    return jaxlie.SE3(se3.compose(se3.inverse(target), source).wxyz_xyz)
+
+
+def disagreement(graph: KeyframeGraph, registered: RegisteredPair) -> Float[np.ndarray, "6"]:
+    """Tangent of a registration's disagreement with where the graph has the pair.
+
+    Args:
+        graph: that holds both keyframes.
+        registered: the pair.
+    """
+    expected = _by_poses(graph, (registered.target, registered.source))
+    return np.asarray(se3.log(se3.compose(se3.inverse(expected), registered.found.T_target_source)))
