@@ -17,7 +17,7 @@ from sfgs_jax.slam.state import MapState
 
 
 def worker(
-    state: slam.SlamState, spill: Callable[[MapState], MapState] = lambda mapping: mapping, **settings: int
+    state: slam.SlamState, spill: Callable[[MapState], MapState] = lambda mapping: mapping, **settings: Any
 ) -> ThreadedMapWorker:
     return ThreadedMapWorker(state, Stopwatch(), spill, **settings)
 
@@ -46,6 +46,19 @@ def test_the_mapper_works_only_while_a_frame_is_waited_for(room, frames, config)
     next(source)
     assert next(source, None) is None
     _wait(lambda: mapper.mapping.num_steps >= 2)
+    assert len(mapper.stop().views) == 1
+
+
+def test_frames_that_are_there_already_leave_the_mapper_no_time(room, frames, config):
+    state, _, view = follow(slam.init(room.camera, config), frames[0])
+    mapper = worker(state, patience=1.0)
+    source = mapper.frames(frames[:1] * 20)
+    next(source)
+    mapper.learn(state, view)
+    for _ in source:
+        time.sleep(0.01)
+        assert not mapper.mapping.views
+    _wait(lambda: mapper.mapping.views)
     assert len(mapper.stop().views) == 1
 
 

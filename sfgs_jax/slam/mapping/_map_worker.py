@@ -29,7 +29,7 @@ Spill = Callable[[MapState], MapState]
 MAX_KEYFRAMES_WAITING = 2
 """Views of keyframes beyond which a thread does not wait until the tracker is idle."""
 PATIENCE = 0.002
-"""Seconds that the tracker waits for a frame before the thread begins: a frame that is there comes sooner."""
+"""Seconds after which a frame that the tracker waits for is not there yet: others come sooner."""
 MAX_VIEWS_WAITING = 64
 """Ordinary views that wait; beyond them the oldest is dropped, as a similar one came soon after it."""
 
@@ -108,6 +108,7 @@ class ThreadedMapWorker:
         spill: Spill,
         *,
         max_views_waiting: int = MAX_VIEWS_WAITING,
+        patience: float = PATIENCE,
     ) -> None:
         """Start the thread.
 
@@ -116,9 +117,10 @@ class ThreadedMapWorker:
             stages: times the stages `view` and `mapping`.
             spill: puts the images of old views on disk.
             max_views_waiting: ordinary views that wait before the oldest is dropped.
+            patience: seconds that the tracker waits for a frame before the thread begins.
         """
         self._config, self._camera = state.config, state.mapping_camera
-        self._stages, self._spill = stages, spill
+        self._stages, self._spill, self._patience = stages, spill, patience
         self._mapping = state.mapping
         self._changed = threading.Condition()
         self._keyframes = (state.graph.poses, state.row_times)
@@ -203,7 +205,7 @@ class ThreadedMapWorker:
     def _wait_for_work(self) -> None:
         while True:
             self._changed.wait_for(self._may_begin)
-            if self._has_to_begin() or not self._changed.wait_for(lambda: not self._idle, PATIENCE):
+            if self._has_to_begin() or not self._changed.wait_for(lambda: not self._idle, self._patience):
                 return
 
     def _has_to_begin(self) -> bool:
