@@ -151,7 +151,7 @@ def map_step(params: MapParams, gaussian_map: GaussianMap, view: View, T_world_c
         view: images to be like.
         T_world_cam: its pose when colour's middle row was exposed.
     """
-    rows, in_view, seen = _seen(params, gaussian_map, view, T_world_cam)
+    rows, in_view, seen = _seen(_without_pairs(params), gaussian_map, view, T_world_cam)
     stepped, found = _stepped(params, seen, in_view, view, T_world_cam)
     return MapStep(map=with_rows(gaussian_map, rows, stepped), **found)
 
@@ -164,8 +164,13 @@ def compare_with_map(
 
     Gaussians that the view's surface hides are not drawn: in rooms behind rooms they are most of the map.
     """
-    in_view, seen = _not_hidden(params, gaussian_map.gaussians, view, T_world_cam)
+    in_view, seen = _not_hidden(_without_pairs(params), gaussian_map.gaussians, view, T_world_cam)
     return MapStep(map=gaussian_map, **_comparison(params, seen, in_view, view, T_world_cam))
+
+
+def _without_pairs(params: MapParams) -> MapParams:
+    """The parameters for what is done before a rendering: one program, whatever the room for pairs."""
+    return replace(params, pair_capacity=0)
 
 
 @jax.jit
