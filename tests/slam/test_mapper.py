@@ -58,7 +58,7 @@ def test_frames_that_are_there_already_leave_the_mapper_no_time(room, frames, co
     for _ in source:
         time.sleep(0.01)
         assert not mapper.mapping.views
-    _wait(lambda: mapper.mapping.views)
+    _wait(lambda: bool(mapper.mapping.views))
     assert len(mapper.stop().views) == 1
 
 
