@@ -134,7 +134,7 @@ def follow(
 
 
 def _newest_is_tracked(state: SlamState) -> bool:
-    """Whether the newest frame was tracked, and so probably the next will be.
+    """True if the newest frame was tracked: then the next one probably will be.
 
     A lost frame leaves the graph alone: registrations begun for it would be made again for the next.
     """

@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 import jax
 import numpy as np
 import pytest
+from short_runs import run_of_five_keyframes
 
 from sfgs_jax import slam
 from sfgs_jax.slam.keyframes import Registrations, advance_graph, registered_pairs
@@ -14,12 +15,7 @@ from sfgs_jax.slam.state import KeyframeGraph
 
 @pytest.fixture(scope="module")
 def run(room, frames, config):
-    """The run after five frames so far apart that each became a keyframe, none of them adjusted."""
-    graph = replace(config.graph, adjustment_frames=100, return_to_keyframes=False)
-    state = slam.init(room.camera, replace(config, graph=graph))
-    for number, index in enumerate((0, 3, 5, 8, 10)):
-        state, _ = slam.step(state, frames[index], number=number)
-    return state
+    return run_of_five_keyframes(room, frames, config)
 
 
 @pytest.fixture(scope="module")

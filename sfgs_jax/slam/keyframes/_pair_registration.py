@@ -45,7 +45,7 @@ class RegisteredPair:
     equations: DepthEquations | None
 
     def holds(self, graph: KeyframeGraph) -> bool:
-        """Whether a later graph has both keyframes as they were registered.
+        """True if a later graph has both keyframes as they were registered.
 
         Args:
             graph: that holds them.
