@@ -60,6 +60,7 @@ from sfgs_jax.arrays._small_matrices import cholesky as cholesky
 from sfgs_jax.arrays._small_matrices import dot as dot
 from sfgs_jax.arrays._small_matrices import forward_substitution as forward_substitution
 from sfgs_jax.arrays._small_matrices import from_upper_triangles as from_upper_triangles
+from sfgs_jax.arrays._small_matrices import gauss_jordan as gauss_jordan
 from sfgs_jax.arrays._small_matrices import identity_like as identity_like
 from sfgs_jax.arrays._small_matrices import multiply as multiply
 from sfgs_jax.arrays._small_matrices import multiply_transposed as multiply_transposed

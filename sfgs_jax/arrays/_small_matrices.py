@@ -142,3 +142,19 @@ def back_substitution(lower: Float[Array, "*b 3 3"], right: Float[Array, "*b 3"]
     y = (right[..., 1] - lower[..., 2, 1] * z) / lower[..., 1, 1]
     x = (right[..., 0] - lower[..., 1, 0] * y - lower[..., 2, 0] * z) / lower[..., 0, 0]
     return jnp.stack([x, y, z], axis=-1)
+
+
+def gauss_jordan(rows: Float[Array, "n m"]) -> tuple[Float[Array, " n"], Float[Array, "n k"]]:
+    """Pivots of the square matrix in the first columns, and its inverse times the other columns.
+
+    Elimination without exchange of rows, which is stable for positive definite matrices. A symmetric matrix
+    is one if and only if all pivots are positive; where one is 0, the rest means nothing. It is unrolled, for
+    matrices of a few rows: a GPU takes a kernel or two for it, where LAPACK's calls take some twenty.
+    """
+    size, pivots = len(rows), []
+    for k in range(size):
+        pivot = rows[k, k]
+        row = rows[k] / jnp.where(pivot == 0, 1, pivot)
+        rows = (rows - rows[:, k, None] * row[None]).at[k].set(row)
+        pivots.append(pivot)
+    return jnp.stack(pivots), rows[:, size:]

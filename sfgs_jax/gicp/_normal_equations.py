@@ -6,17 +6,27 @@ depends on the source point alone. So both sides of the equations are linear in 
 point's moments. These are the products of two entries of (p, 1), and stay the same through an alignment.
 """
 
+from functools import partial
 from typing import assert_never
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from sfgs_jax.arrays import INDICES, SQUARE, Symmetric, checked, dot, identity_like, outer, symmetric_inverse
+from sfgs_jax.arrays import (
+    INDICES,
+    SQUARE,
+    Symmetric,
+    checked,
+    dot,
+    gauss_jordan,
+    identity_like,
+    outer,
+    symmetric_inverse,
+)
 from sfgs_jax.geometry import inverse_right_jacobian, se3
 from sfgs_jax.gicp._config import Residual
 from sfgs_jax.gicp._exact_products import exact_products
@@ -240,7 +250,8 @@ def damped_step(
     # Columns are scaled first, for float32.
     scale = lax.rsqrt(jnp.diagonal(hessian))
     damped = hessian * scale[:, None] * scale[None, :] + damping * jnp.eye(6, dtype=scale.dtype)
-    return -equations.scale * scale * jax.scipy.linalg.solve(damped, scale * gradient, assume_a="pos")
+    _, step = gauss_jordan(jnp.concatenate([damped, (scale * gradient)[:, None]], axis=1))
+    return -equations.scale * scale * step[:, 0]
 
 
 def newton_step(equations: NormalEquations, min_observability: float) -> Float[Array, "6"]:
@@ -248,18 +259,22 @@ def newton_step(equations: NormalEquations, min_observability: float) -> Float[A
     return -equations.scale * jnp.linalg.solve(*_projected(equations, min_observability))
 
 
-@exact_products
 def _projected(e: NormalEquations, min_observability: float) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
     """Regular Hessian and gradient in the tangent's scale, with the geometry projected off free directions.
 
     A direction is free if its eigenvalue of the geometric Hessian, per total weight, is too small.
     """
     outer = lax.stop_gradient(e.scale[:, None] * e.scale[None, :])
-    values, vectors = jnp.linalg.eigh(lax.stop_gradient(e.geometric_hessian * outer))
-    observed = jnp.where(values > min_observability * jnp.maximum(e.weight, _LEAST_WEIGHT), vectors, 0)
-    projector = observed @ observed.T
-    hessian = projector @ (e.hessian * outer) @ projector
-    gradient = projector @ (e.scale * e.gradient)
+    geometric = lax.stop_gradient(e.geometric_hessian * outer)
+    least = min_observability * jnp.maximum(lax.stop_gradient(e.weight), _LEAST_WEIGHT)
+    # Pivots tell as surely as eigenvalues that nothing is free, and cost a GPU one kernel for some fifty.
+    pivots, _ = gauss_jordan(geometric - least * jnp.eye(6, dtype=geometric.dtype))
+    hessian, gradient, free = lax.cond(
+        jnp.all(pivots > 0),
+        lambda hessian, gradient: (hessian, gradient, jnp.zeros_like(hessian)),
+        partial(_off_free_directions, geometric, least),
+        *(e.hessian * outer, e.scale * e.gradient),
+    )
     size, share = jnp.trace(hessian), 1.0
     if e.prior is not None:
         prior_hessian = e.prior[0] * outer
@@ -268,5 +283,19 @@ def _projected(e: NormalEquations, min_observability: float) -> tuple[Float[Arra
         # the prior moves. A prior without any information is like none: so little would let rounding drift.
         size = jnp.trace(hessian)
         share = jnp.where(jnp.trace(prior_hessian) > 1e-6 * size, 1e-6, 1.0)
-    free = jnp.eye(6, dtype=e.scale.dtype) - projector
     return hessian + share * jnp.where(size > 0, size, 1) * free, gradient
+
+
+@exact_products
+def _off_free_directions(
+    geometric: Float[Array, "6 6"],
+    least: Float[Array, ""],
+    hessian: Float[Array, "6 6"],
+    gradient: Float[Array, "6"],
+) -> tuple[Float[Array, "6 6"], Float[Array, "6"], Float[Array, "6 6"]]:
+    """Hessian and gradient off the free directions, and the projector onto these."""
+    values, vectors = jnp.linalg.eigh(geometric)
+    observed = jnp.where(values > least, vectors, 0)
+    projector = observed @ observed.T
+    free = jnp.eye(6, dtype=projector.dtype) - projector
+    return projector @ hessian @ projector, projector @ gradient, free

@@ -14,6 +14,7 @@ cholesky = jax.jit(arrays.cholesky)
 dot = jax.jit(arrays.dot)
 forward_substitution = jax.jit(arrays.forward_substitution)
 from_upper_triangles = jax.jit(arrays.from_upper_triangles)
+gauss_jordan = jax.jit(arrays.gauss_jordan)
 identity_like = jax.jit(arrays.identity_like)
 multiply = jax.jit(arrays.multiply)
 multiply_transposed = jax.jit(arrays.multiply_transposed)
@@ -139,3 +140,29 @@ def test_inverses_and_the_singular(rng):
     inverse, regular = symmetric_inverse(triangles(np.diag([1.0, 1.0, 0.0])[None]))
     assert not regular[0]
     assert not np.any(inverse)
+
+
+def test_elimination_solves_positive_definite_equations(rng):
+    for size in (1, 3, 6):
+        root, right = rng.normal(size=(size, size + 2)), rng.normal(size=(size, 2))
+        matrix = root @ root.T / size
+        pivots, found = gauss_jordan(jnp.asarray(np.concatenate([matrix, right], axis=1), jnp.float32))
+        expected = np.linalg.solve(matrix, right)
+        np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-4 * np.abs(expected).max())
+        np.testing.assert_allclose(np.prod(pivots), np.linalg.det(matrix), rtol=1e-4)
+
+
+def test_pivots_tell_whether_a_symmetric_matrix_is_positive_definite(rng):
+    for least in (-1.0, -0.01, 0.01, 1.0):
+        for _ in range(10):
+            q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+            matrix = q @ np.diag([least, *rng.uniform(0.1, 2, 5)]) @ q.T
+            pivots, rest = gauss_jordan(jnp.asarray(matrix, jnp.float32))
+            assert bool(jnp.all(pivots > 0)) == (least > 0)
+            assert rest.shape == (6, 0)
+
+
+def test_elimination_of_a_singular_matrix_makes_no_nan():
+    pivots, found = gauss_jordan(jnp.zeros((6, 7)))
+    assert not jnp.any(pivots > 0)
+    assert jnp.all(jnp.isfinite(found))

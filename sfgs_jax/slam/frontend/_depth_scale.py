@@ -6,7 +6,6 @@ and keypoints move in the image as no pose moves them. One more unknown beside t
 logarithm of the ratio of the two scales.
 """
 
-import jax
 import jax.numpy as jnp
 import jaxlie
 from jax import lax
@@ -14,7 +13,7 @@ from jax.lax import Precision
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax import gicp
-from sfgs_jax.arrays import dot
+from sfgs_jax.arrays import dot, gauss_jordan
 from sfgs_jax.slam.frontend._registration_rows import keypoint_rows, surface_rows
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import FeatureRegistration
@@ -83,8 +82,7 @@ def depth_scale_change(
     # Scaled before it is factorised, for float32; a pose that nothing fixes takes nothing away.
     scale = lax.rsqrt(jnp.maximum(jnp.diagonal(total), 1e-12))
     total = total * scale[:, None] * scale[None, :]
-    pose = total[:6, :6] + 1e-5 * jnp.eye(6, dtype=total.dtype)
-    taken = jax.scipy.linalg.solve(pose, total[:6, 6:], assume_a="pos")
+    _, taken = gauss_jordan(total[:6] + 1e-5 * jnp.eye(6, len(total), dtype=total.dtype))
     left = total[6:, 6:] - jnp.matmul(total[6:, :6], taken, precision=Precision.HIGHEST)
     information = jnp.maximum(left[0, 0], 1e-6)
     return -left[0, 1] / information * scale[6] / scale[7], lax.rsqrt(information) * scale[6]

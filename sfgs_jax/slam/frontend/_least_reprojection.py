@@ -11,6 +11,7 @@ from jax.lax import Precision
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
+from sfgs_jax.arrays import gauss_jordan
 from sfgs_jax.geometry import kernel_weight, reprojection_residuals, se3
 from sfgs_jax.sensors import carried, row_places
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -94,7 +95,7 @@ def least_reprojection(start: jaxlie.SE3, rows: MatchedRows, params: TrackerPara
         hessian, gradient, _, _ = _equations(state.T, rows, params)
         # Damped by its own diagonal, so that what no match fixes stays where it is.
         damped = hessian + jnp.diag(1e-4 * jnp.diagonal(hessian) + _LEAST)
-        delta = -jax.scipy.linalg.solve(damped, gradient, assume_a="pos")
+        delta = -gauss_jordan(jnp.concatenate([damped, gradient[:, None]], axis=1))[1][:, 0]
         T = se3.compose(state.T, se3.exp(jnp.clip(delta, -0.5, 0.5)))
         return _Descent(T, state.steps + 1, jnp.max(jnp.abs(delta)))
 

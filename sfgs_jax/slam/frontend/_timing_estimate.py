@@ -19,7 +19,7 @@ from jax.lax import Precision
 from jaxtyping import Array, Float
 
 from sfgs_jax import gicp
-from sfgs_jax.arrays import dot
+from sfgs_jax.arrays import dot, gauss_jordan
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import row_places, velocities
 from sfgs_jax.slam.frontend._rectification import with_depth_in_time
@@ -105,8 +105,7 @@ def timing_equations(
     # Scaled before it is factorised, for float32; a pose that nothing fixes takes nothing away.
     scale = lax.rsqrt(jnp.maximum(jnp.diagonal(total), 1e-12))
     total = total * scale[:, None] * scale[None, :]
-    pose = total[:6, :6] + 1e-5 * jnp.eye(6, dtype=total.dtype)
-    taken = jax.scipy.linalg.solve(pose, total[:6, 6:], assume_a="pos")
+    _, taken = gauss_jordan(total[:6] + 1e-5 * jnp.eye(6, len(total), dtype=total.dtype))
     left = total[6:, 6:] - jnp.matmul(total[6:, :6], taken, precision=Precision.HIGHEST)
     left = left / (scale[6:, None] * scale[None, 6:])
     return left[:3, :3], -left[:3, 3]
