@@ -46,6 +46,9 @@ _VIEW_MARGIN = 0.3
 _MAX_LOG_IMAGE_SIZE = 20.0
 """Logarithm of the largest standard deviation an image may have, pixels: 5e8, far beyond any screen."""
 
+_LEAST_LENGTH = 1e-30
+"""Largest entry of a quaternion that counts as zero."""
+
 
 class Projected(eqx.Module):
     """Images of N Gaussians.
@@ -317,11 +320,13 @@ def _computable(rows: _Rows, camera: Camera, z: Float[Array, " n"]) -> Bool[Arra
 
 def rotation_columns(quaternion: list[Array]) -> list[list[Array]]:
     """Columns of the rotation matrices of quaternions wxyz of any length; a zero one does not rotate."""
-    # The length has no influence. Taken out as a constant, it lets nothing over- or underflow.
+    # The length has no influence. Taken out as a constant, it lets nothing over- or underflow. Quaternions so
+    # short that a GPU has no reciprocal of their length count as zero.
     largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, quaternion)))
-    w, x, y, z = (q / jnp.where(largest > 0, largest, 1) for q in quaternion)
+    rotates = largest > _LEAST_LENGTH
+    w, x, y, z = (jnp.where(rotates, q / jnp.where(rotates, largest, 1), 0) for q in quaternion)
     # Twice the product of two entries of the unit quaternion is `two` times that of the given one.
-    two = 2 / jnp.where(largest > 0, w * w + x * x + y * y + z * z, 1)
+    two = 2 / jnp.where(rotates, w * w + x * x + y * y + z * z, 1)
     return [
         [1 - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)],
         [two * (x * y - w * z), 1 - two * (x * x + z * z), two * (y * z + w * x)],
