@@ -65,6 +65,7 @@ from sfgs_jax.arrays._small_matrices import identity_like as identity_like
 from sfgs_jax.arrays._small_matrices import multiply as multiply
 from sfgs_jax.arrays._small_matrices import multiply_transposed as multiply_transposed
 from sfgs_jax.arrays._small_matrices import outer as outer
+from sfgs_jax.arrays._small_matrices import side_by_side as side_by_side
 from sfgs_jax.arrays._small_matrices import symmetric_inverse as symmetric_inverse
 from sfgs_jax.arrays._small_matrices import symmetric_product as symmetric_product
 from sfgs_jax.arrays._small_matrices import upper_triangles as upper_triangles

@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Bool, Float
 
-from sfgs_jax.arrays import checked, dot, map_used_rows
+from sfgs_jax.arrays import checked, dot, map_used_rows, side_by_side
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter, carried, row_places, velocities
 from sfgs_jax.splatting._config import DEFAULT, RenderConfig
@@ -130,12 +130,12 @@ def _project(
     mapped: tuple[tuple, Array] = map_used_rows(of_rows, rows, gaussians.valid, view)
     (centres, whitening, log_opacities, depths, rgb, slopes), visible = mapped
     projected = Projected(
-        centres=jnp.stack(centres, axis=-1),
-        whitening=jnp.stack(whitening, axis=-1),
+        centres=side_by_side(centres),
+        whitening=side_by_side(whitening),
         log_opacities=log_opacities,
         depths=depths,
         visible=visible,
-        inverse_depth_slopes=jnp.stack(slopes, axis=-1) if slopes else None,
+        inverse_depth_slopes=side_by_side(slopes) if slopes else None,
     )
     return projected, rgb
 

@@ -19,6 +19,7 @@ identity_like = jax.jit(arrays.identity_like)
 multiply = jax.jit(arrays.multiply)
 multiply_transposed = jax.jit(arrays.multiply_transposed)
 outer = jax.jit(arrays.outer)
+side_by_side = jax.jit(arrays.side_by_side)
 smallest_eigenpair = jax.jit(arrays.smallest_eigenpair)
 symmetric_inverse = jax.jit(arrays.symmetric_inverse)
 symmetric_product = jax.jit(arrays.symmetric_product)
@@ -166,3 +167,10 @@ def test_elimination_of_a_singular_matrix_makes_no_nan():
     pivots, found = gauss_jordan(jnp.zeros((6, 7)))
     assert not jnp.any(pivots > 0)
     assert jnp.all(jnp.isfinite(found))
+
+
+def test_columns_side_by_side_are_those_given(rng):
+    columns = rng.normal(size=(5, 4, 7)).astype(np.float32)
+    for count in (1, 2, 5):
+        found = side_by_side([jnp.asarray(column) for column in columns[:count]])
+        np.testing.assert_array_equal(found, np.moveaxis(columns[:count], 0, -1))
