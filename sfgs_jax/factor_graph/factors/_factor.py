@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from jax.lax import Precision
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Shaped
 
-from sfgs_jax.arrays import apply, apply_transposed, multiply, multiply_transposed
+from sfgs_jax.arrays import apply, apply_transposed, multiply
 from sfgs_jax.factor_graph._values import Values
 from sfgs_jax.factor_graph.factors._arguments import (
     Indices,
@@ -221,20 +222,20 @@ class Factor(eqx.Module):
 
         weighted = _apply_information(information, jacobian) * weight[None, None]
         losses = jnp.where(mask, self.robust(square), 0)
-        pose_hessian = _rows_first(multiply_transposed(jacobian, weighted))
+        pose_hessian = _products(jacobian, weighted)
         pose_gradient = apply_transposed(weighted, r).T
         if linear.landmark_jacobian is None:
             return Terms(losses, pose_hessian, pose_gradient)
         at_landmark = jnp.where(mask[None, None], linear.landmark_jacobian, 0)
         weighted_landmark = _apply_information(information, at_landmark) * weight[None, None]
-        cross = multiply_transposed(weighted_landmark, jacobian).reshape(3, k, 6, -1)
+        cross = _products(weighted_landmark, jacobian).reshape(-1, 3, k, 6)
         return Terms(
             losses=losses,
             pose_hessian=pose_hessian,
             pose_gradient=pose_gradient,
-            landmark_hessian=_rows_first(multiply_transposed(at_landmark, weighted_landmark)),
+            landmark_hessian=_products(at_landmark, weighted_landmark),
             landmark_gradient=apply_transposed(weighted_landmark, r).T,
-            cross=jnp.transpose(cross, (3, 1, 0, 2)),
+            cross=jnp.swapaxes(cross, 1, 2),
         )
 
 
@@ -261,5 +262,6 @@ def _lanes_last(matrices: Float[Array, "N R R"] | None) -> Float[Array, "R R N"]
     return None if matrices is None else jnp.moveaxis(matrices, 0, -1)
 
 
-def _rows_first(matrix: Float[Array, "c d N"]) -> Float[Array, "N c d"]:
-    return jnp.moveaxis(matrix, -1, 0)
+def _products(a: Float[Array, "r c N"], b: Float[Array, "r d N"]) -> Float[Array, "N c d"]:
+    """a^T b, row by row. XLA makes the factors of a product once, those of a transposed sum once an entry."""
+    return jnp.einsum("rcn,rdn->ncd", a, b, precision=Precision.HIGHEST)

@@ -17,7 +17,7 @@ BatchSize = tuple[int, int]
 """Own and boundary poses that each front of a batch has room for."""
 
 
-TRAJECTORY_FRONT: BatchSize = (24, 48)
+TRAJECTORY_FRONT: BatchSize = (24, 32)
 """Size of front that the graph of a camera's way seldom exceeds, though it crosses itself."""
 
 

@@ -18,8 +18,12 @@ from sfgs_jax.slam.keyframes._edges import CONSISTENT, motions_of, relative_pose
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._maps import first_keyframes
 
-_SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-4, step_tolerance=1e-4)
-"""Edges that agree have no cost to be a share of; a tenth of a millimetre is less than any of them knows."""
+_SOLVER = SolverConfig(max_iterations=15, cost_tolerance=1e-3, step_tolerance=1e-4)
+"""A thousandth of the cost is far less than chance changes it by, and with less float32 goes in circles.
+Edges that agree have no cost to be a share of; a tenth of a millimetre is less than any of them knows."""
+
+_LEAST_EDGES, _EDGES_PER_KEYFRAME = 512, 4
+"""Edges that a graph has room for, whichever is more; a way through a building has three per keyframe."""
 
 _background = Background()
 
@@ -97,7 +101,7 @@ def _problem(
     graph: KeyframeGraph, config: GraphConfig, capacity: int, steady: Sequence[Edge], loops: Sequence[Edge]
 ) -> FactorGraph:
     """Edges over all keyframes; graphs of one capacity mostly run one program, which is sparse if large."""
-    room = doubled(capacity * (config.num_neighbours + 1), len(steady))
+    room = _edge_room(graph, capacity)
     block = partial(
         relative_poses,
         noise=graph.noise,
@@ -112,6 +116,12 @@ def _problem(
     free[: len(graph.keyframes)] = ~first_keyframes(graph)
     capacities = Capacities.for_trajectory(edges=room)
     return FactorGraph(factors, num_poses=capacity, free_poses=free, capacities=capacities)
+
+
+def _edge_room(graph: KeyframeGraph, capacity: int) -> int:
+    """Room for edges, by how many a keyframe has: what is compiled ahead then suits the graphs to come."""
+    per_keyframe = -(-len(graph.edges) // max(1, len(graph.keyframes)))
+    return doubled(max(_LEAST_EDGES, _EDGES_PER_KEYFRAME * capacity), per_keyframe * capacity)
 
 
 def compile_ahead(graph: KeyframeGraph, config: GraphConfig) -> Future[object] | None:
