@@ -57,8 +57,8 @@ def dot(
 def side_by_side(columns: Sequence[Array]) -> Array:
     """Arrays (...) as the columns of an array (..., K).
 
-    Chosen column by column. What `jnp.stack` stacks XLA computes again for each entry, one at a time: it took
-    six times longer to project Gaussians.
+    They are chosen column by column. XLA computes each entry of a `jnp.stack` anew, one at a time; Gaussians
+    took six times longer to project with it.
     """
     place = jnp.arange(len(columns))
     chosen = columns[-1][..., None]
