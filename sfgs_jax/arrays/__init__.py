@@ -77,4 +77,5 @@ from sfgs_jax.arrays._sorting import packed_argmin as packed_argmin
 from sfgs_jax.arrays._sorting import sort_packed as sort_packed
 from sfgs_jax.arrays._sorting import stable_argsort as stable_argsort
 from sfgs_jax.arrays._sorting import stable_order as stable_order
+from sfgs_jax.arrays._turns import PATIENCE as PATIENCE
 from sfgs_jax.arrays._turns import short_turns as short_turns

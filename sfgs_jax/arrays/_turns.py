@@ -13,6 +13,9 @@ _SECONDS = 1e-4
 """Longest turn. A frame beside a busy thread then takes 40 ms, and that thread loses a fifth of its speed.
 With a millisecond it is 110 ms and a tenth."""
 
+PATIENCE = 0.002
+"""Seconds after which a frame that is waited for is not there yet, so that other threads may begin."""
+
 
 @contextmanager
 def short_turns() -> Iterator[None]:

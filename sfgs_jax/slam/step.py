@@ -100,7 +100,7 @@ def follow(
     number, time = state.next_frame if number is None else number, float(frame.timestamp)
     params, config, before = state.params, state.config.graph, state
     registrations = registrations or Registrations()
-    if _newest_is_tracked(before):
+    if registrations.are_awaited and _newest_is_tracked(before):
         registrations.begin(params, before.graph, config)
     with stages("tracking"):
         state, found, info, covariance = find_pose(state, frame, number)

@@ -77,6 +77,23 @@ def test_a_frame_that_does_not_wait_takes_them_once_they_are_there(run, waiting,
     assert registrations.take() == ()
 
 
+def test_one_pair_is_registered_while_the_tracker_is_idle(run, waiting, both):
+    registrations = Registrations(are_awaited=False)
+    registrations.begin_while_idle(run.params, waiting, both)
+    while not (found := registrations.take()):
+        pass
+    assert [(pair.target, pair.source) for pair in found] == [(*waiting.pending, *waiting.again)[0]]
+
+
+def test_a_frame_that_comes_at_once_lets_no_registration_begin(run, waiting, both):
+    registrations = Registrations(are_awaited=False, patience=60.0)
+    registrations.begin_while_idle(run.params, waiting, both)
+    registrations.frame_came()
+    while not (found := registrations.take()):
+        registrations.begin(run.params, waiting, both)
+    assert len(found) == 2  # those of the other call, not the one of idle time
+
+
 def test_a_frame_that_waits_without_any_begun_registers_itself(run, waiting, both):
     assert Registrations().take() is None
     after, _ = advance_graph(run.params, waiting, both, grown=False, registered=())

@@ -1,12 +1,15 @@
 """Registration of waiting pairs of keyframes, in a thread beside the tracker or at once."""
 
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Event
 
 import jaxlie
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.arrays import PATIENCE
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import features_in_use
@@ -60,17 +63,24 @@ class RegisteredPair:
 
 
 class Registrations:
-    """Registrations of waiting pairs, made in a thread while frames are tracked."""
+    """Registrations of waiting pairs, made in a thread: while frames are tracked, or between two frames.
 
-    def __init__(self, *, are_awaited: bool = True) -> None:
+    Attributes:
+        are_awaited: whether a frame waits for what was begun before it.
+    """
+
+    def __init__(self, *, are_awaited: bool = True, patience: float = PATIENCE) -> None:
         """Without any.
 
         Args:
             are_awaited: whether a frame waits for what was begun before it, so that a run repeats itself.
                 Otherwise a later frame takes it, once it is there.
+            patience: seconds without a frame after which the tracker counts as idle.
         """
-        self._are_awaited = are_awaited
+        self.are_awaited = are_awaited
+        self._patience = patience
         self._begun: Future[tuple[RegisteredPair, ...]] | None = None
+        self._frame_came = Event()
 
     def begin(self, params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> None:
         """Register the pairs whose turn it is, unless others are under way.
@@ -83,12 +93,38 @@ class Registrations:
         if self._begun is None:
             self._begun = _beside.submit(registered_pairs, params, graph, config)
 
+    def begin_while_idle(self, params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> None:
+        """Register one pair, unless a frame comes at once or another is under way.
+
+        Beside registrations without end the tracker would have half of the processor: it then takes longer
+        than frames take to come.
+
+        Args:
+            params: parameters of tracking.
+            graph: after a frame.
+            config: settings.
+        """
+        self._frame_came.clear()
+        if self._begun is None and (graph.pending or graph.again):
+            self._begun = _beside.submit(self._one_while_idle, params, graph, config)
+
+    def frame_came(self) -> None:
+        """The tracker is idle no more."""
+        self._frame_came.set()
+
+    def _one_while_idle(
+        self, params: TrackerParams, graph: KeyframeGraph, config: GraphConfig
+    ) -> tuple[RegisteredPair, ...]:
+        if self._frame_came.wait(self._patience):
+            return ()
+        return _registered_all(params, graph, (*graph.pending, *graph.again)[:1])
+
     def take(self) -> tuple[RegisteredPair, ...] | None:
         """Pairs that a frame's graph is to take; None if a frame is to register them itself."""
         begun = self._begun
         if begun is None:
-            return None if self._are_awaited else ()
-        if not (self._are_awaited or begun.done()):
+            return None if self.are_awaited else ()
+        if not (self.are_awaited or begun.done()):
             return ()
         self._begun = None
         return begun.result()
@@ -108,8 +144,14 @@ def registered_pairs(
     """
     waiting = (*graph.pending, *graph.again)
     turn = waiting[: max(config.registrations_per_frame, len(waiting) // config.backlog)]
-    maps = maps_of(graph) if turn else ()
-    return tuple(_registered(params, graph, pair, bool(maps[pair[0]] != maps[pair[1]])) for pair in turn)
+    return _registered_all(params, graph, turn)
+
+
+def _registered_all(
+    params: TrackerParams, graph: KeyframeGraph, pairs: Sequence[tuple[int, int]]
+) -> tuple[RegisteredPair, ...]:
+    maps = maps_of(graph) if pairs else ()
+    return tuple(_registered(params, graph, pair, bool(maps[pair[0]] != maps[pair[1]])) for pair in pairs)
 
 
 def _registered(

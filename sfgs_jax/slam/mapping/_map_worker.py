@@ -8,6 +8,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from sfgs_jax.arrays import PATIENCE
 from sfgs_jax.geometry import is_held_out
 from sfgs_jax.slam.mapping._map_update import (
     follow_keyframes,
@@ -28,8 +29,6 @@ Spill = Callable[[MapState], MapState]
 
 MAX_KEYFRAMES_WAITING = 2
 """Views of keyframes beyond which a thread does not wait until the tracker is idle."""
-PATIENCE = 0.002
-"""Seconds after which a frame that the tracker waits for is not there yet: others come sooner."""
 MAX_VIEWS_WAITING = 64
 """Ordinary views that wait; beyond them the oldest is dropped, as a similar one came soon after it."""
 

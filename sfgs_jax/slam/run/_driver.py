@@ -305,11 +305,15 @@ def _follow_all(
 ) -> None:
     """The run after all frames of its source."""
     for number, frame in worker.frames(frames):
+        if registrations is not None:
+            registrations.frame_came()
         found = _advance(result, number, frame, worker, storage, registrations)
         observer(_progress(result, frame, found))
         _check_skipped(result)
         if result.num_frames % _TRIM_EVERY == 0:
             Thread(target=return_free_memory, name="sfgs_jax heap", daemon=True).start()
+        if registrations is not None and isinstance(found, StepInfo) and found.tracked:
+            registrations.begin_while_idle(result.state.params, result.state.graph, result.config.graph)
 
 
 def _map_worker(result: Run, config: SlamConfig, storage: Path | None, *, realtime: bool) -> MapWorker:
