@@ -94,7 +94,8 @@ def follow(
         frame: likewise.
         number: likewise.
         stages: likewise.
-        registrations: those of the run's keyframes that no frame waits for; if not given, this one waits.
+        registrations: those of the run's keyframes that no frame waits for, begun by the caller between
+            two frames; if not given, this one waits.
     """
     check_frame(frame, state.camera, state.last_timestamp)
     number, time = state.next_frame if number is None else number, float(frame.timestamp)

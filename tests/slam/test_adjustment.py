@@ -131,7 +131,7 @@ def test_keyframes_tied_to_others_outside_hold_the_window_in_place(run, config):
     free = np.asarray(window.graph.free_poses)
     assert [m for m, moves in zip(members, free, strict=True) if not moves] == sorted(outside)
     assert free.any()
-    # Where all have room, the first keyframe holds them.
+    # The first keyframe holds the window if all have room.
     window = slam.window_of(run.params, run.graph, replace(config.graph, window=8))
     assert np.asarray(window.graph.free_poses).tolist() == [False] + [True] * 4 + [False] * 3
 

@@ -68,7 +68,7 @@ def bend(graph: KeyframeGraph, config: GraphConfig) -> KeyframeGraph:
 
 
 def is_contradicted(graph: KeyframeGraph) -> bool:
-    """Whether a place is seen again elsewhere than where the graph has it, beyond the error of the edge.
+    """True if a place is seen again elsewhere than where the graph has it, beyond the error of the edge.
 
     Args:
         graph: with the edges that it has not absorbed.
