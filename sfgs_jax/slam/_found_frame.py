@@ -45,6 +45,8 @@ def find_pose(state: SlamState, frame: Frame, number: int) -> FoundFrame:
     if lag := synchrony.lag:
         told = f"Depth comes {abs(lag)} frames {'late' if lag > 0 else 'early'} against colour."
         return _lost(state, lost_unseen(before, since), told)
+    if state.graph.focal.is_beyond(params.config.max_focal_error):
+        return _lost(state, lost_unseen(before, since), _wrong_focal_lengths(state))
     found = find_frame(params, before, frame, since, graph, state.config.graph)
     found = revisited(params, found, graph, state.config.graph)
     info = _info(found)
@@ -74,6 +76,14 @@ def _contradiction(info: TrackInfo, tracker: Tracker) -> str:
     change = -100 * float(info.registration.scale_change)
     word = "longer" if change > 0 else "shorter"
     return f"Depth is about {abs(change):.0f} % {word} than in the frames before."
+
+
+def _wrong_focal_lengths(state: SlamState) -> str:
+    """What the keyframes say about the focal lengths."""
+    camera, ratio = state.camera, float(np.exp(state.graph.focal.estimate()[0]))
+    word, off = "long" if ratio < 1 else "short", 100 * abs(1 / ratio - 1)
+    fits, given = (f"fx {s * camera.fx:.1f} and fy {s * camera.fy:.1f}" for s in (ratio, 1.0))
+    return f"Focal lengths are about {off:.1f} % too {word}: what keyframes see fits {fits}, and not {given}."
 
 
 def _covariance(state: SlamState, found: Found) -> Float[np.ndarray, "6 6"]:

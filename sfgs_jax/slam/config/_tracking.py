@@ -159,6 +159,9 @@ class TrackingConfig:
     max_depth_lag: int = 1
     """Frames by which depth may come late or early against colour. Beyond it frames are lost, for their depth
     is of another time. 5 or more looks for no lag."""
+    max_focal_error: float = 0.02
+    """Largest error of the focal lengths, as a share, with which frames are believed. If the keyframes show a
+    larger one, frames are lost: their poses would drift, and fit as well as ever. 1 looks for none."""
     max_depth_scatter: float = 0.01
     """Largest scatter of depth from pixel to pixel, as a share of it, up to 2.5 metres; farther off more,
     with the square of depth. Depth that scatters more is noise, and is not used."""
@@ -178,7 +181,7 @@ class TrackingConfig:
         check_counts(self, 2, "num_references")
         check_counts(self, 0, "max_motion_model_frames", "max_lost", "max_depth_lag")
         check_positive(self, "motion_model_sigma", "delay_sigma", "readout_sigma")
-        check_positive(self, "max_scale_change", "max_depth_scatter")
+        check_positive(self, "max_scale_change", "max_focal_error", "max_depth_scatter")
         check_positive(self, "max_position_sigma")
         check_positive(self, "depth_sigma", "depth_step_sigma", "depth_tilt_sigma")
         check_positive(self, "extrinsic_shift_sigma", "extrinsic_turn_sigma")

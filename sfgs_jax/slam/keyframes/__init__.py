@@ -16,6 +16,7 @@ from sfgs_jax.slam.keyframes._edge_noise import edge_noise as edge_noise
 from sfgs_jax.slam.keyframes._edges import edge_of as edge_of
 from sfgs_jax.slam.keyframes._edges import prior_noise as prior_noise
 from sfgs_jax.slam.keyframes._edges import relative_poses as relative_poses
+from sfgs_jax.slam.keyframes._focal_lengths import focal_lengths_by as focal_lengths_by
 from sfgs_jax.slam.keyframes._graph_step import advance_graph as advance_graph
 from sfgs_jax.slam.keyframes._insertion import Reference as Reference
 from sfgs_jax.slam.keyframes._insertion import first_keyframe as first_keyframe

@@ -12,6 +12,7 @@ from sfgs_jax.slam.config import GraphConfig, TrackingConfig
 from sfgs_jax.slam.frontend import depth_parameters_in_use
 from sfgs_jax.slam.keyframes._depth_equations import DepthEquations
 from sfgs_jax.slam.keyframes._edges import edge_of
+from sfgs_jax.slam.keyframes._focal_lengths import with_focal_lengths
 from sfgs_jax.slam.keyframes._rectification_anew import rows_known
 from sfgs_jax.slam.state._depth_information import DepthPrior, depth_prior, with_extrinsic
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
@@ -34,7 +35,7 @@ def with_registration(
     *,
     told: bool = True,
 ) -> tuple[KeyframeGraph, Edge]:
-    """The graph that has heard what a registration says about depth, and the registration as an edge.
+    """The graph that has heard what a registration says about the camera, and the registration as an edge.
 
     Args:
         params: parameters of tracking.
@@ -44,27 +45,28 @@ def with_registration(
         equations: of the registration; none where depth is not corrected.
         found: the registration, with the correction of depth of `params`.
         config: settings.
-        told: whether the registration is believed, and the estimate of depth may hear it.
+        told: whether the registration is believed, and the estimates may hear it.
     """
-    if equations is None:
-        return graph, edge_of(target, source, found, config)
-    in_use = depth_parameters_in_use(params)
-    edge = replace(
-        edge_of(target, source, found, config),
-        depth_parameters=in_use,
-        sensitivity=equations.sensitivity,
-        surface_sensitivity=equations.surface_sensitivity,
-    )
+    edge, in_use = edge_of(target, source, found, config), depth_parameters_in_use(params)
+    if equations is not None:
+        edge = replace(
+            edge,
+            depth_parameters=in_use,
+            sensitivity=equations.sensitivity,
+            surface_sensitivity=equations.surface_sensitivity,
+        )
     told &= int(found.source) in (PoseSource.JOINT, PoseSource.SURFACE)
     # Rows that lie where they don't belong look like a camera that does not.
     told &= not params.config.estimate_extrinsic or rows_known(graph, (target, source), config)
     if not told:
         return graph, edge
-    # Pairs of the same images say the same, as edges do.
-    share = 1 / graph.noise.redundancy
-    told_of = share * equations.information, share * equations.vector
-    depth = graph.depth.plus(*told_of, in_use, prior_of(params.config))
-    return replace(graph, depth=depth), replace(edge, told=True)
+    graph = with_focal_lengths(params, graph, target, source, found)
+    if equations is not None:
+        # Pairs of the same images say the same, as edges do.
+        share = 1 / graph.noise.redundancy
+        told_of = share * equations.information, share * equations.vector
+        graph = replace(graph, depth=graph.depth.plus(*told_of, in_use, prior_of(params.config)))
+    return graph, replace(edge, told=True)
 
 
 def with_new_depth_parameters(params: TrackerParams, graph: KeyframeGraph) -> KeyframeGraph:

@@ -49,6 +49,7 @@ def joined_graphs(graph: KeyframeGraph, other: KeyframeGraph, shift: int) -> Key
             np.concatenate([graph.landmarks.points, other.landmarks.points]),
         ),
         depth=graph.depth.joined(other.depth),
+        focal=graph.focal.joined(other.focal),
     )
 
 

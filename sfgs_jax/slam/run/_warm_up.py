@@ -28,6 +28,7 @@ from sfgs_jax.slam.keyframes import (
     advance_graph,
     bend,
     first_keyframe,
+    focal_lengths_by,
     insert_keyframe,
     rectified_anew,
     return_to_keyframe,
@@ -114,6 +115,8 @@ def _compile_graph(state: SlamState, registered: Future[Registration]) -> None:
     keyframe, times = state.graph.keyframes[0], np.zeros(3, np.float32)
     new = Reference(keyframe.features, keyframe.twist, times, 1)
     graph = insert_keyframe(state.params, state.graph, new, found, 0, config)
+    if state.config.tracking.features.kind != "none":
+        focal_lengths_by(state.params, keyframe.features, keyframe.features, found)
     graph, _ = advance_graph(state.params, replace(graph, pending=((0, 1),)), config, grown=True)
     graph = with_adjustment_taken(graph)
     if graph.edges:

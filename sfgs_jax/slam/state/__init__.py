@@ -4,6 +4,7 @@ from sfgs_jax.slam.state._depth_information import DepthInformation as DepthInfo
 from sfgs_jax.slam.state._depth_information import DepthPrior as DepthPrior
 from sfgs_jax.slam.state._depth_information import depth_prior as depth_prior
 from sfgs_jax.slam.state._depth_information import no_depth_information as no_depth_information
+from sfgs_jax.slam.state._focal_information import FocalInformation as FocalInformation
 from sfgs_jax.slam.state._frame_features import FrameFeatures as FrameFeatures
 from sfgs_jax.slam.state._frame_features import Keypoints as Keypoints
 from sfgs_jax.slam.state._frame_log import FrameLog as FrameLog

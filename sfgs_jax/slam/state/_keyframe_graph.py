@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
 from sfgs_jax.slam.state._depth_information import DepthInformation, no_depth_information
+from sfgs_jax.slam.state._focal_information import FocalInformation
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 
 
@@ -63,7 +64,7 @@ class Edge:
         depth_parameters: (G,) of the depth correction that it was found with.
         sensitivity: (6, G) derivative of the motion's tangent by them.
         surface_sensitivity: (6, G) derivative of the surface's motion by them.
-        told: whether the estimate of depth's errors has heard it.
+        told: whether the estimates of the camera's errors have heard it.
     """
 
     target: int
@@ -199,6 +200,7 @@ class KeyframeGraph:
         landmarks: places of the landmarks.
         adjustment: one that has been started and whose results have not been taken, if there is one.
         depth: what the registrations said about the distortion of depth.
+        focal: what they said about the focal lengths.
         depth_parameters: (G,) of the depth correction that the poses are for.
         times_covariance: (3, 3) of the times of the rows as known at the newest keyframe, s²; zeros where
             they are not estimated.
@@ -217,6 +219,7 @@ class KeyframeGraph:
     landmarks: Landmarks
     adjustment: PendingAdjustment | None
     depth: DepthInformation
+    focal: FocalInformation
     depth_parameters: Float[np.ndarray, " G"]
     times_covariance: Float[np.ndarray, "3 3"]
 
@@ -267,6 +270,7 @@ def empty_graph(
         landmarks=Landmarks(np.zeros(0, int), np.zeros((0, 3))),
         adjustment=None,
         depth=no_depth_information(depth_parameters),
+        focal=FocalInformation(),
         depth_parameters=depth_parameters,
         times_covariance=np.zeros((3, 3)),
     )

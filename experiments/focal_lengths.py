@@ -1,0 +1,122 @@
+"""How well do keyframes tell that the focal lengths are wrong, and are right ones suspected?
+
+    python -m experiments.focal_lengths [--recordings room redkitchen ...] [--stride 3] [--errors -3 0 3]
+
+Each recording is tracked with focal lengths that are wrong by each error. The estimate is that after the last
+frame, with its standard deviation. `sure` is the largest estimate at any frame that would be believed.
+`TrackingConfig.max_focal_error` has to lie above those with right focal lengths. The last columns say at
+which frame an estimate was beyond a limit.
+
+Real recordings are found through SFGS_DATA, by default `../shared`; one that is not there is left out with a
+line.
+"""
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from experiments.contradictions import RECORDINGS
+from experiments.starts import InMemory
+from sfgs_jax import slam
+from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
+
+PLACES = {
+    **RECORDINGS,
+    "desk": "synthetic:place=desk,frames=300",
+    "wall": "synthetic:place=wall,frames=200",
+    "sphere": "synthetic:place=sphere,frames=200",
+    "twins": "synthetic:place=twins,frames=400",
+}
+NOTHING = 1.0
+"""A limit that no estimate passes."""
+
+
+class Told(NamedTuple):
+    """What was known after each frame.
+
+    Attributes:
+        estimates: (n,) logarithm of the true focal lengths over those in use.
+        sigmas: (n,) their standard deviations.
+        sure: (n,) size of the estimates that would be believed; 0 for the others.
+        tracked: frames that were tracked.
+    """
+
+    estimates: Float[np.ndarray, " n"]
+    sigmas: Float[np.ndarray, " n"]
+    sure: Float[np.ndarray, " n"]
+    tracked: int
+
+
+def told(recording: Recording, error: float, config: slam.SlamConfig) -> Told:
+    """Track a recording with wrong focal lengths.
+
+    Args:
+        recording: any.
+        error: share by which its focal lengths are too long.
+        config: settings.
+    """
+    camera = recording.camera
+    camera = replace(camera, fx=camera.fx * (1 + error), fy=camera.fy * (1 + error))
+    config = replace(config, tracking=replace(config.tracking, max_focal_error=NOTHING))
+    state, found, tracked = slam.init(camera, config), [], 0
+    for number in range(len(recording)):
+        state, info, _ = slam.follow(state, recording[number])
+        tracked += info.tracked
+        focal = state.graph.focal
+        estimate, sigma = focal.estimate()
+        found.append((estimate, sigma, abs(estimate) if focal.is_beyond(0.0) else 0.0))
+    return Told(*np.transpose(found), tracked)
+
+
+def row(name: str, recording: Recording, error: float, limits: tuple[float, ...]) -> str:
+    """A line of the Markdown table.
+
+    Args:
+        name: of the recording.
+        recording: as it is.
+        error: percent by which focal lengths are too long.
+        limits: percent.
+    """
+    found = told(recording, error / 100, slam.PRESETS[recording.dataset])
+    cells = [
+        f"{100 * found.estimates[-1]:.2f} ± {100 * found.sigmas[-1]:.2f}",
+        f"{100 * max(found.sure):.2f}",
+    ]
+    for limit in limits:
+        beyond = np.flatnonzero(found.sure > limit / 100)
+        cells.append(str(beyond[0]) if len(beyond) else "never")
+    return f"| {name} | {error:g} | {found.tracked} of {len(recording)} | {' | '.join(cells)} |"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description="How well keyframes tell that focal lengths are wrong.")
+    parser.add_argument("--recordings", nargs="+", default=list(PLACES), choices=list(PLACES))
+    parser.add_argument("--frames", type=int, default=150, help="frames of each recording")
+    parser.add_argument("--start", type=int, default=0, help="first frame")
+    parser.add_argument("--stride", type=int, default=1, help="from frame to frame")
+    parser.add_argument("--errors", type=float, nargs="+", default=[-3, 0, 3], help="percent too long")
+    parser.add_argument("--limits", type=float, nargs="+", default=[1.5, 2, 2.5], help="percent")
+    options = parser.parse_args(arguments)
+    columns = ["recording", "error %", "tracked", "estimate %", "sure %"]
+    columns += [f"beyond {limit:g} % at frame" for limit in options.limits]
+    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+    for name in options.recordings:
+        place = PLACES[name]
+        if not place.startswith("synthetic") and not Path(place).exists():
+            print(f"no {name}: there is no {place}", file=sys.stderr)
+            continue
+        end = options.start + options.stride * options.frames
+        reader = ReaderOptions(start=options.start, end=end, stride=options.stride)
+        recording = InMemory(open_recording(place, options=reader))
+        for error in options.errors:
+            print(row(name, recording, error, tuple(options.limits)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
