@@ -159,9 +159,10 @@ class TrackingConfig:
     max_depth_lag: int = 1
     """Frames by which depth may come late or early against colour. Beyond it frames are lost, for their depth
     is of another time. 5 or more looks for no lag."""
-    max_focal_error: float = 0.02
+    max_focal_error: float = 0.015
     """Largest error of the focal lengths, as a share, with which frames are believed. If the keyframes show a
-    larger one, frames are lost: their poses would drift, and fit as well as ever. 1 looks for none."""
+    larger one, frames are lost: their poses would drift, and fit as well as ever. They show three quarters of
+    it. 1 looks for none."""
     max_depth_scatter: float = 0.01
     """Largest scatter of depth from pixel to pixel, as a share of it, up to 2.5 metres; farther off more,
     with the square of depth. Depth that scatters more is noise, and is not used."""
