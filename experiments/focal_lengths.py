@@ -27,6 +27,8 @@ from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
 
 PLACES = {
     **RECORDINGS,
+    # Slow enough to be tracked.
+    "building": "synthetic:place=building,frames=3000,noise=1,width=320,height=240",
     "desk": "synthetic:place=desk,frames=300",
     "wall": "synthetic:place=wall,frames=200",
     "sphere": "synthetic:place=sphere,frames=200",
