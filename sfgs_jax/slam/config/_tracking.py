@@ -67,6 +67,9 @@ class FeaturesConfig:
     min_inlier_share_alone: float = 0.33
     """Least share of inliers, beside `min_inliers_alone`, where the surface leaves a direction of motion
     free. There the keypoints decide alone, and nothing would contradict wrong matches that agree."""
+    min_inlier_share_lost: float = 0.5
+    """Least share of inliers, beside `min_inliers_alone`, after a lost frame. Nobody knows then where the camera
+    is, and where things look alike the matches of a wrong place agree too."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
@@ -77,6 +80,7 @@ class FeaturesConfig:
         check_range(self, -1, 1, "min_similarity")
         check_range(self, 0, 2, "guidance")
         check_range(self, 0, 1, "min_contrast", "min_inlier_share", "min_inlier_share_alone")
+        check_range(self, 0, 1, "min_inlier_share_lost")
         check_positive(
             self, "depth_tolerance", "max_distance", "pixel_sigma", "inverse_depth_sigma", "tolerance"
         )

@@ -87,7 +87,8 @@ def keypoints_take_part(
         config: settings.
     """
     features = config.features
-    counted = keypoints_help(matched, features) & (near_guess | keypoints_are_many(matched, features))
+    surely = keypoints_are_many(matched, features) & (_share(matched) >= features.min_inlier_share_lost)
+    counted = keypoints_help(matched, features) & (near_guess | surely)
     # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
     certain = keypoints_are_many(matched, features)
     certain &= _share(matched) >= features.min_inlier_share_alone

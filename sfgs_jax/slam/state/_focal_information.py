@@ -8,7 +8,7 @@ _USUAL_EXCESS = 3.0
 """Variance of what registrations say, over what their information says, until there are several."""
 _USUAL_COUNT = 4.0
 """Registrations that this assumption counts as much as."""
-_SIGMAS = 3.0
+_SIGMAS = 4.0
 """Standard deviations by which an error must be known."""
 _LEAST_COUNT = 5.0
 """Registrations below which no error is. The first few are of one motion, and may err alike: on fr1_rpy three
