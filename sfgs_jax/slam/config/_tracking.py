@@ -68,7 +68,7 @@ class FeaturesConfig:
     """Least share of inliers, beside `min_inliers_alone`, where the surface leaves a direction of motion
     free. There the keypoints decide alone, and nothing would contradict wrong matches that agree."""
     min_inlier_share_lost: float = 0.5
-    """Least share of inliers, beside `min_inliers_alone`, after a lost frame. The camera may be anywhere then, and
+    """Least share of inliers, beside `min_inliers_alone`, after a lost frame. The camera may be anywhere, and
     where things look alike the matches of a wrong place agree too."""
 
     def __post_init__(self) -> None:
