@@ -3,14 +3,18 @@
 from dataclasses import replace
 from itertools import product
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from registrations import registration
 
+from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend import (
     NO_SUSPICION,
     Evidence,
     judge,
+    keypoints_take_part,
     strengthened,
     supports_edge,
     supports_relocalisation,
@@ -163,3 +167,16 @@ def test_frames_in_a_row_strengthen_a_suspicion_as_far_as_the_camera_may_have_mo
         suspicion = strengthened(suspicion, at(metres), seconds, graph)
         counts.append(int(suspicion.frames))
     assert counts == [1, 2, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("inliers", "matches", "near_guess", "expected"),
+    [(43, 122, True, True), (43, 122, False, False), (70, 122, False, True), (12, 16, False, False)],
+)
+def test_after_a_lost_frame_half_of_many_matches_have_to_agree(inliers, matches, near_guess, expected):
+    """On a tiled wall a third of them agreed, one tile off."""
+    matched = eqx.tree_at(
+        lambda m: m.num_matches, registration(inliers=inliers).matched, jnp.asarray(matches)
+    )
+    part = keypoints_take_part(matched, jnp.asarray(0.34), jnp.asarray(0), near_guess, TrackingConfig())
+    assert bool(part) == expected

@@ -26,6 +26,7 @@ from sfgs_jax.slam.frontend._new_map import without_pose as without_pose
 from sfgs_jax.slam.frontend._pose_source import Evidence as Evidence
 from sfgs_jax.slam.frontend._pose_source import confirms_loop as confirms_loop
 from sfgs_jax.slam.frontend._pose_source import judge as judge
+from sfgs_jax.slam.frontend._pose_source import keypoints_take_part as keypoints_take_part
 from sfgs_jax.slam.frontend._pose_source import supports_edge as supports_edge
 from sfgs_jax.slam.frontend._pose_source import supports_loop as supports_loop
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation as supports_relocalisation
