@@ -72,7 +72,8 @@ def told(recording: Recording, error: float, config: slam.SlamConfig) -> Told:
         focal = state.graph.focal
         estimate, sigma = focal.estimate()
         found.append((estimate, sigma, abs(estimate) if focal.is_beyond(0.0) else 0.0))
-    return Told(*np.transpose(found), tracked)
+    estimates, sigmas, sure = np.transpose(found)
+    return Told(estimates, sigmas, sure, tracked)
 
 
 def row(name: str, recording: Recording, error: float, limits: tuple[float, ...]) -> str:
