@@ -9,7 +9,7 @@ _USUAL_EXCESS = 3.0
 _USUAL_COUNT = 4.0
 """Registrations that this assumption counts as much as."""
 _SIGMAS = 4.0
-"""Standard deviations by which an error must be known. With three, fr1_rpy at every fifth frame is."""
+"""Standard deviations of an error that is believed. With three, fr1_rpy at every fifth frame is suspected."""
 _LEAST_COUNT = 5.0
 """Registrations below which no error is believed: the first few are of one motion, and may err alike."""
 
