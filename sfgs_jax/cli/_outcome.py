@@ -13,16 +13,17 @@ _SCALE_TOLERANCE = 1.2
 """Factor that the scale of a trajectory may be off by its own error."""
 
 
-def failure_of(metrics: dict[str, Any], source: str) -> str | None:
+def failure_of(metrics: dict[str, Any], source: str, contradiction: str = "") -> str | None:
     """Why a run that came to its end is no success; None if it is one.
 
     Args:
         metrics: content of `metrics.json` of a run over all frames.
         source: the recording, as the command line named it.
+        contradiction: why frames were not believed, as the run said it last; empty if it never did.
     """
     frames = metrics["frames"]
     lost, offered = frames["lost"], frames["total"] - frames["dropped"]
-    advice = f"`sfgs-jax check {source}` says what is wrong with the recording."
+    advice = contradiction or f"`sfgs-jax check {source}` says what is wrong with the recording."
     if metrics["map"]["gaussians"] == 0:
         return f"The map is empty: no Gaussian was made of {offered} frames. {advice}"
     if lost >= _MOST_LOST * offered:

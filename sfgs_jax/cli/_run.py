@@ -341,11 +341,11 @@ def _run(
             kept = kept_to_resume(result, written)
         _say_interrupted(result, written, can_resume=kept, moved=written != folder)
         return _INTERRUPTED
-    status = _closed(options, out, result, written)
+    status = _closed(options, out, result, written, observer.contradiction)
     return 1 if failure is not None else status
 
 
-def _closed(options: RunOptions, out: ResultFolder, result: Run, written: Path) -> int:
+def _closed(options: RunOptions, out: ResultFolder, result: Run, written: Path, contradiction: str) -> int:
     """Evaluate the results of a run that came to its end, and say what it came to; returns the exit status.
 
     Args:
@@ -353,6 +353,7 @@ def _closed(options: RunOptions, out: ResultFolder, result: Run, written: Path) 
         out: the folder that the results were meant for.
         result: the run.
         written: the folder that they are in.
+        contradiction: why frames were not believed, if they were not.
     """
     folder, recording = out.path, out.recording
     if not len(result.trajectory):
@@ -369,7 +370,7 @@ def _closed(options: RunOptions, out: ResultFolder, result: Run, written: Path) 
         print(summary(metrics, written))
     if warning := scale_warning(result.trajectory, recording):
         logger.warning("%s", warning)
-    if problem := failure_of(metrics, out.config.source):
+    if problem := failure_of(metrics, out.config.source, contradiction):
         logger.error("%s", problem)
     return 1 if problem is not None or written != folder else 0
 

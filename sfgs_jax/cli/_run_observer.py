@@ -28,6 +28,9 @@ class RunObserver:
         restore: makes the folder again if it was removed; may raise OSError.
         keep_state: also keep the state that `--resume` needs.
         interval: frames, or steps of the refinement, between two checkpoints.
+
+    Attributes:
+        contradiction: why frames were not believed, as it was said last; empty if it never was.
     """
 
     def __init__(
@@ -45,6 +48,7 @@ class RunObserver:
         self._error, self._failure = "", ""
         self._said_storage_failure = self._contradicted = False
         self._start: tuple[int, float] | None = None
+        self.contradiction = ""
 
     def begin(self, first: int) -> None:
         """Say that the run begins at frame `first`, and why nothing moves for a while."""
@@ -103,6 +107,7 @@ class RunObserver:
         if progress.skipped is not None:
             logger.warning("frame %d skipped: %s", number, progress.skipped)
         elif info is not None and info.contradiction:
+            self.contradiction = info.contradiction
             # Said once while it lasts.
             if not self._contradicted:
                 logger.warning("frames are lost from %d on: %s", number, info.contradiction)

@@ -19,6 +19,8 @@ def test_an_empty_map_and_lost_frames_are_failures():
     assert failure_of(empty, "desk").endswith("`sfgs-jax check desk` says what is wrong with the recording.")
     metrics["frames"]["lost"] = 4
     assert failure_of(metrics, "desk").startswith("4 of 40 frames were lost, a tenth or more.")
+    told = "Focal lengths are about 2.5 % too long."
+    assert failure_of(metrics, "desk", told) == f"4 of 40 frames were lost, a tenth or more. {told}"
 
 
 @pytest.mark.parametrize(("factor", "named"), [(1.0, False), (1.1, False), (5.0, True), (0.2, True)])
