@@ -22,6 +22,7 @@ from sfgs_jax.arrays import dot
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import depth_slopes, grid_shares
 from sfgs_jax.slam.frontend._registration_rows import keypoint_rows, surface_rows
+from sfgs_jax.slam.keyframes._elimination import by_pose, without_pose
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import BY_KEYPOINTS, PoseSource, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -88,23 +89,13 @@ def depth_equations(
     if params.config.estimate_extrinsic:
         # It shows where the motion of the surfaces is not the keypoints'.
         told = told + keypoints * by_keypoints
-    left = told[6:, 6:] - told[6:, :6] @ _by_pose(told)
+    left = without_pose(told)
     return DepthEquations(
         information=left[:-1, :-1],
         vector=-left[:-1, -1],
-        sensitivity=-_by_pose(weighed)[:, :-1],
-        surface_sensitivity=-_by_pose(surface)[:, :-1],
+        sensitivity=-by_pose(weighed)[:, :-1],
+        surface_sensitivity=-by_pose(surface)[:, :-1],
     )
-
-
-def _by_pose(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "6 m"]:
-    """Derivative of the pose's best value by the other unknowns and the residual, with its sign reversed."""
-    return np.linalg.solve(_regular(matrix[:6, :6]), matrix[:6, 6:])
-
-
-def _regular(matrix: np.ndarray) -> np.ndarray:
-    """A matrix that has an inverse: a pose that nothing fixes takes nothing away."""
-    return matrix + (1e-6 * np.trace(matrix) + 1e-9) * np.eye(len(matrix))
 
 
 @jax.jit

@@ -60,10 +60,10 @@ def with_registration(
     told &= not params.config.estimate_extrinsic or rows_known(graph, (target, source), config)
     if not told:
         return graph, edge
-    graph = with_focal_lengths(params, graph, target, source, found)
+    # Pairs of the same images say the same, as edges do.
+    share = 1 / graph.noise.redundancy
+    graph = with_focal_lengths(params, graph, target, source, found, share)
     if equations is not None:
-        # Pairs of the same images say the same, as edges do.
-        share = 1 / graph.noise.redundancy
         told_of = share * equations.information, share * equations.vector
         graph = replace(graph, depth=graph.depth.plus(*told_of, in_use, prior_of(params.config)))
     return graph, replace(edge, told=True)

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.frontend import features_in_use
 from sfgs_jax.slam.frontend._registration_rows import keypoint_rows
+from sfgs_jax.slam.keyframes._elimination import without_pose
 from sfgs_jax.slam.state._focal_information import FocalInformation
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
@@ -27,7 +28,7 @@ from sfgs_jax.slam.state._tracker import TrackerParams
 
 
 def with_focal_lengths(
-    params: TrackerParams, graph: KeyframeGraph, target: int, source: int, found: Registration
+    params: TrackerParams, graph: KeyframeGraph, target: int, source: int, found: Registration, share: float
 ) -> KeyframeGraph:
     """The graph that has heard what a registration says about the focal lengths.
 
@@ -37,12 +38,11 @@ def with_focal_lengths(
         target: number of the keyframe registered to.
         source: number of the keyframe registered.
         found: the registration.
+        share: of what it says that no other registration says too.
     """
     if int(found.source) not in BY_KEYPOINTS:
         return graph
     moving, fixed = (features_in_use(params, graph.keyframes[number]) for number in (source, target))
-    # Pairs of the same images say the same, as edges do.
-    share = 1 / graph.noise.redundancy
     return replace(graph, focal=graph.focal.joined(focal_lengths_by(params, moving, fixed, found, share)))
 
 
@@ -63,14 +63,8 @@ def focal_lengths_by(
         share: of what it says that no other registration says too.
     """
     matrix = np.asarray(_normal_matrix(params, source, target, found), np.float64)
-    by_pose = np.linalg.solve(_regular(matrix[:6, :6]), matrix[:6, 6:])
-    left = matrix[6:, 6:] - matrix[6:, :6] @ by_pose
+    left = without_pose(matrix)
     return FocalInformation.of(information=float(left[0, 0]), vector=-float(left[0, 1]), share=share)
-
-
-def _regular(matrix: np.ndarray) -> np.ndarray:
-    """A matrix that has an inverse: a pose that nothing fixes takes nothing away."""
-    return matrix + (1e-6 * np.trace(matrix) + 1e-9) * np.eye(len(matrix))
 
 
 @jax.jit
