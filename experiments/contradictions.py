@@ -12,9 +12,7 @@ line.
 """
 
 import argparse
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -22,8 +20,8 @@ from jaxtyping import Float
 
 from experiments.perturbations import PERTURBATIONS
 from experiments.recordings import DATA, SOURCES
-from experiments.starts import InMemory
-from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
+from experiments.starts import in_memory
+from sfgs_jax.datasets import ReaderOptions, Recording
 from sfgs_jax.slam import PRESETS, TrackingConfig, init_tracker, track, tracker_params
 from sfgs_jax.slam.frontend import is_noise, watched
 from sfgs_jax.slam.state import empty_synchrony
@@ -125,12 +123,9 @@ def main(arguments: list[str] | None = None) -> None:
     columns += ["noticed: as it is", *(f"late by {lag}" for lag in LAGS)]
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for name in options.recordings:
-        place = RECORDINGS[name]
-        if not place.startswith("synthetic") and not Path(place).exists():
-            print(f"no {name}: there is no {place}", file=sys.stderr)
-            continue
-        recording = InMemory(open_recording(place, options=ReaderOptions(end=options.frames)))
-        print(row(name, recording, PRESETS[recording.dataset].tracking), flush=True)
+        recording = in_memory(name, RECORDINGS[name], ReaderOptions(end=options.frames))
+        if recording is not None:
+            print(row(name, recording, PRESETS[recording.dataset].tracking), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,29 +1,27 @@
-"""How well do keyframes tell that the focal lengths are wrong, and are right ones suspected?
+"""Keyframes tell that focal lengths are wrong: how well, and are right ones suspected?
 
     python -m experiments.focal_lengths [--recordings room redkitchen ...] [--stride 3] [--errors -3 0 3]
 
 Each recording is tracked with focal lengths that are wrong by each error. The estimate is that after the last
-frame, with its standard deviation. `sure` is the largest estimate at any frame that would be believed.
-`TrackingConfig.max_focal_error` has to lie above those with right focal lengths. The last columns say at
-which frame an estimate was beyond a limit.
+frame, with its standard deviation. The largest estimate at any frame that would be believed is in the column
+`sure`. `TrackingConfig.max_focal_error` has to lie above those with right focal lengths. The last columns say
+at which frame an estimate was beyond a limit.
 
 Real recordings are found through SFGS_DATA, by default `../shared`; one that is not there is left out with a
 line.
 """
 
 import argparse
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from experiments.contradictions import RECORDINGS
-from experiments.starts import InMemory
+from experiments.starts import in_memory
 from sfgs_jax import slam
-from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
+from sfgs_jax.datasets import ReaderOptions, Recording
 
 PLACES = {
     **RECORDINGS,
@@ -110,13 +108,11 @@ def main(arguments: list[str] | None = None) -> None:
     columns += [f"beyond {limit:g} % at frame" for limit in options.limits]
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for name in options.recordings:
-        place = PLACES[name]
-        if not place.startswith("synthetic") and not Path(place).exists():
-            print(f"no {name}: there is no {place}", file=sys.stderr)
-            continue
         end = options.start + options.stride * options.frames
         reader = ReaderOptions(start=options.start, end=end, stride=options.stride)
-        recording = InMemory(open_recording(place, options=reader))
+        recording = in_memory(name, PLACES[name], reader)
+        if recording is None:
+            continue
         for error in options.errors:
             print(row(name, recording, error, tuple(options.limits)), flush=True)
 

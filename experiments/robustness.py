@@ -16,7 +16,6 @@ goes on with the same CSV file.
 
 import argparse
 import csv
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
@@ -27,9 +26,9 @@ from jaxtyping import Float
 from experiments.perturbations import PERTURBATIONS, Perturbed, Severity
 from experiments.recordings import DATA, SOURCES
 from experiments.robustness_scores import Scores, scores
-from experiments.starts import InMemory
+from experiments.starts import in_memory
 from sfgs_jax.arrays import FrameError
-from sfgs_jax.datasets import ReaderOptions, Recording, open_recording
+from sfgs_jax.datasets import ReaderOptions, Recording
 from sfgs_jax.slam import PRESETS, Run, SlamConfig, finish, follow, init
 
 RECORDINGS = {
@@ -132,11 +131,7 @@ def append_cell(path: Path, cell: Cell, found: Scores) -> None:
 
 def opened(source: str, frames: int | None) -> Recording | None:
     """A recording with its frames kept in memory; None with a line if its data is not there."""
-    place = RECORDINGS[source]
-    if not place.startswith("synthetic") and not Path(place).exists():
-        print(f"no {source}: there is no {place}", file=sys.stderr)
-        return None
-    return InMemory(open_recording(place, options=ReaderOptions(end=frames)))
+    return in_memory(source, RECORDINGS[source], ReaderOptions(end=frames))
 
 
 def main(arguments: list[str] | None = None) -> None:

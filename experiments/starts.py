@@ -4,13 +4,15 @@ Ten starts overlap almost fully, so they show how much of an error is chance on 
 replace other recordings.
 """
 
+import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.arrays import InputError
-from sfgs_jax.datasets import Recording, Selection
+from sfgs_jax.datasets import ReaderOptions, Recording, Selection, open_recording
 from sfgs_jax.geometry import Camera, Frame, Trajectory
 
 
@@ -67,6 +69,20 @@ class InMemory(_Wrapper):
         if index not in self._frames:
             self._frames[index] = self.recording[index]
         return self._frames[index]
+
+
+def in_memory(name: str, place: str, options: ReaderOptions) -> InMemory | None:
+    """A recording whose frames are kept; None, with a line, if its data is not there.
+
+    Args:
+        name: that the line calls it by.
+        place: of the recording, as `open_recording` takes it.
+        options: of the reader.
+    """
+    if not place.startswith("synthetic") and not Path(place).exists():
+        print(f"no {name}: there is no {place}", file=sys.stderr)
+        return None
+    return InMemory(open_recording(place, options=options))
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def _contradiction(info: TrackInfo, tracker: Tracker) -> str:
 
 
 def _wrong_focal_lengths(state: SlamState) -> str:
-    """What the keyframes say about the focal lengths."""
+    """The sentence that says which focal lengths fit better."""
     camera, ratio = state.camera, float(np.exp(state.graph.focal.estimate()[0]))
     word, off = "long" if ratio < 1 else "short", 100 * abs(1 / ratio - 1)
     fits, given = (f"fx {s * camera.fx:.1f} and fy {s * camera.fy:.1f}" for s in (ratio, 1.0))
