@@ -16,6 +16,7 @@ from sfgs_jax.arrays._atomic_files import sync_folder as sync_folder
 from sfgs_jax.arrays._atomic_files import write_atomically as write_atomically
 from sfgs_jax.arrays._background import BACKGROUND_THREAD as BACKGROUND_THREAD
 from sfgs_jax.arrays._background import Background as Background
+from sfgs_jax.arrays._blas import one_blas_thread as one_blas_thread
 from sfgs_jax.arrays._blockwise_vjp import map_used_rows as map_used_rows
 from sfgs_jax.arrays._boundary import checked as checked
 from sfgs_jax.arrays._boundary import checked_but as checked_but

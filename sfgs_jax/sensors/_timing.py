@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from sfgs_jax.arrays import checked, require_least
@@ -35,6 +36,11 @@ class SensorTiming(eqx.Module):
     def vector(self) -> Float[Array, "3"]:
         """The three times, in the order of the attributes."""
         return jnp.stack([self.depth_delay, self.colour_readout, self.depth_readout])
+
+    def on_host(self) -> Float[np.ndarray, "3"]:
+        """As `vector`, fetched without running a program."""
+        times = self.depth_delay, self.colour_readout, self.depth_readout
+        return np.asarray([np.asarray(time) for time in times])
 
     @staticmethod
     def of_vector(times: Float[Array, "3"]) -> "SensorTiming":

@@ -8,7 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.geometry import Frame
-from sfgs_jax.slam.frontend import Found, TrackInfo, find_frame, lost_unseen, watched
+from sfgs_jax.slam.frontend import (
+    Found,
+    TrackInfo,
+    begin_tracking,
+    find_frame,
+    lost_unseen,
+    watched,
+)
 from sfgs_jax.slam.keyframes import motion_covariance, revisited
 from sfgs_jax.slam.state import PoseSource, SlamState, StepInfo, Tracker, lost_info
 
@@ -40,6 +47,8 @@ def find_pose(state: SlamState, frame: Frame, number: int) -> FoundFrame:
     params, graph, time = state.params, state.graph, float(frame.timestamp)
     since = time - state.last_timestamp
     before = state.tracker
+    tracked = begin_tracking(params, before, frame, since)
+    # In the time that it takes.
     synchrony = watched(state.synchrony, frame, params.config.max_depth_lag)
     state = replace(state, synchrony=synchrony, next_frame=number + 1, last_timestamp=time)
     if lag := synchrony.lag:
@@ -47,7 +56,7 @@ def find_pose(state: SlamState, frame: Frame, number: int) -> FoundFrame:
         return _lost(state, lost_unseen(before, since), told)
     if state.graph.focal.is_beyond(params.config.max_focal_error):
         return _lost(state, lost_unseen(before, since), _wrong_focal_lengths(state))
-    found = find_frame(params, before, frame, since, graph, state.config.graph)
+    found = find_frame(params, before, tracked, frame, since, graph, state.config.graph)
     found = revisited(params, found, graph, state.config.graph)
     info = _info(found)
     if not info.tracked:

@@ -88,7 +88,7 @@ def _joined(a: SlamState, b: SlamState) -> SlamState:
     graph = joined_graphs(a.graph, b.graph, shift)
     tracker = a.tracker
     if a.config.tracking.estimate_timing:
-        ahead = np.asarray(b.params.timing.vector) - np.asarray(a.params.timing.vector)
+        ahead = b.params.timing.on_host() - a.params.timing.on_host()
         told = tracker.timing.joined(b.tracker.timing, ahead)
         tracker = eqx.tree_at(lambda t: t.timing, tracker, told)
         times, covariance = estimated_timing(a.params, tracker)

@@ -64,7 +64,7 @@ def test_registrations_that_say_the_same_count_once():
     for says in (0.01, 0.03, 0.02, 0.05, -0.01, 0.03):
         once = once.joined(FocalInformation.of(1e4, 1e4 * says))
         for _ in range(4):
-            often = often.joined(FocalInformation.of(1e4, 1e4 * says, 0.25))
+            often = often.joined(FocalInformation.of(1e4, 1e4 * says).of_which(0.25))
     np.testing.assert_allclose(often.estimate(), once.estimate(), rtol=1e-9)
 
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from sfgs_jax import Camera, Frame, slam
 from sfgs_jax.datasets import play
 from sfgs_jax.slam import Stopwatch, follow
-from sfgs_jax.slam.mapping import ThreadedMapWorker
+from sfgs_jax.slam.mapping import MAX_KEYFRAMES_WAITING, Allowance, ThreadedMapWorker
 from sfgs_jax.slam.run import spill_views
 from sfgs_jax.slam.state import MapState
 
@@ -62,6 +63,45 @@ def test_frames_that_are_there_already_leave_the_mapper_no_time(room, frames, co
     assert len(mapper.stop().views) == 1
 
 
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_a_share_of_the_frames_may_be_late(share):
+    allowance, late = Allowance(share), []
+    for _ in range(1000):
+        late.append(allowance.is_left)
+        allowance.frame_came(late=late[-1])
+    assert late[0]
+    assert share <= np.mean(late) < share + 0.01
+    assert np.diff(np.flatnonzero(late[10:])).max() <= 1 / share + 1
+
+
+def test_frames_in_time_take_nothing_from_the_allowance():
+    allowance = Allowance(0.05)
+    for late in [True, *[False] * 40, True]:
+        assert allowance.is_left
+        allowance.frame_came(late=late)
+
+
+def test_the_mapper_waits_after_frames_were_late_beside_it(room, frames, config):
+    begun, ended = Event(), Event()
+
+    def spill(mapping: MapState) -> MapState:
+        begun.set()
+        assert ended.wait(120)
+        return mapping
+
+    state, _, view = follow(slam.init(room.camera, config), frames[0])
+    mapper = worker(state, spill=spill)
+    mapper.learn(state, view)
+    assert begun.wait(120)
+    for _ in mapper.frames(frames[:1] * 4):  # each is there at once: three were late
+        pass
+    ended.set()
+    _wait(lambda: bool(mapper.mapping.views))
+    time.sleep(0.5)
+    assert mapper.mapping.num_steps == 0
+    assert len(mapper.stop().views) == 1
+
+
 def test_keyframes_come_first_and_then_the_newest_other_views(room, frames, config):
     state, _, keyframe = follow(slam.init(room.camera, config), frames[0])
     assert keyframe is not None
@@ -78,7 +118,7 @@ def test_many_keyframes_are_not_kept_waiting(room, frames, config):
     state, _, view = follow(slam.init(room.camera, config), frames[0])
     mapper = worker(state)
     for _ in mapper.frames(frames[:1]):
-        for _ in range(4):
+        for _ in range(MAX_KEYFRAMES_WAITING + 2):
             mapper.learn(state, view)
         _wait(lambda: len(mapper.mapping.views) >= 2)
         assert len(mapper.mapping.views) == 2

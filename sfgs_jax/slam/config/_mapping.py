@@ -167,6 +167,9 @@ class MappingConfig:
     """Factor on the Gaussians' learning rates that the refinement begins with."""
     final_rate: float = 0.1
     """Share of its first learning rates that the refinement ends with."""
+    late_share: float = 0.05
+    """Share of the frames that may come late for the map's sake, in real time. Once more are late, the map
+    waits. A larger share gives a fuller map while the run lasts, and drops more frames."""
     newest_share: float = 0.3
     """Share of the map steps that goes to the newest view. The others go to views drawn uniformly."""
     prune_interval: int = 200
@@ -204,7 +207,7 @@ class MappingConfig:
             "steps_per_view",
             "final_steps",
         )
-        check_range(self, 0, 1, "newest_share", "prune_opacity", "final_rate")
+        check_range(self, 0, 1, "newest_share", "late_share", "prune_opacity", "final_rate")
         check_range(self, 0, math.inf, "first_rate")
         check_range(self, 0, math.inf, "final_seconds")
         check_positive(self, "max_view_shift")

@@ -17,6 +17,7 @@ from sfgs_jax.slam.frontend._joint_registration import register as register
 from sfgs_jax.slam.frontend._keyframe_choice import needs_keyframe as needs_keyframe
 from sfgs_jax.slam.frontend._localisation import Found as Found
 from sfgs_jax.slam.frontend._localisation import Localised as Localised
+from sfgs_jax.slam.frontend._localisation import begin_tracking as begin_tracking
 from sfgs_jax.slam.frontend._localisation import find_frame as find_frame
 from sfgs_jax.slam.frontend._localisation import place as place
 from sfgs_jax.slam.frontend._localisation import relocalise as relocalise

@@ -80,27 +80,46 @@ class Found(NamedTuple):
     begins_map: bool = False
 
 
-def find_frame(
-    params: TrackerParams,
-    tracker: Tracker,
-    frame: Frame,
-    since: float,
-    graph: KeyframeGraph,
-    config: GraphConfig,
-) -> Found:
-    """Go up the ladder with a frame until it is found.
+def begin_tracking(
+    params: TrackerParams, tracker: Tracker, frame: Frame, since: float
+) -> tuple[Tracker, TrackInfo]:
+    """Take the first step of the ladder; its results are under way.
 
     Args:
         params: parameters of tracking.
         tracker: before the frame.
         frame: colour image and depth.
         since: seconds since the frame before; not positive or not finite if unknown.
+    """
+    keypoints = host_keypoints(params, frame)
+    return track(params, tracker, mean_grey(frame.rgb), frame.depth, _elapsed(since), keypoints)
+
+
+def _elapsed(since: float) -> np.float32:
+    return np.float32(since if 0 < since < np.inf else 0)
+
+
+def find_frame(
+    params: TrackerParams,
+    tracker: Tracker,
+    tracked: tuple[Tracker, TrackInfo],
+    frame: Frame,
+    since: float,
+    graph: KeyframeGraph,
+    config: GraphConfig,
+) -> Found:
+    """Go up the rest of the ladder with a frame until it is found.
+
+    Args:
+        params: parameters of tracking.
+        tracker: before the frame.
+        tracked: what its first step found, by `begin_tracking`.
+        frame: colour image and depth.
+        since: seconds since the frame before; not positive or not finite if unknown.
         graph: keyframes to look in.
         config: settings of relocalisation.
     """
-    elapsed = np.float32(since if 0 < since < np.inf else 0)
-    keypoints = host_keypoints(params, frame)
-    after, info = track(params, tracker, mean_grey(frame.rgb), frame.depth, elapsed, keypoints)
+    elapsed, (after, info) = _elapsed(since), tracked
     if int(info.source) != PoseSource.LOST:
         return Found(after, info)
     if not graph.keyframes:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from sfgs_jax import gicp
 from sfgs_jax.arrays import dot
@@ -24,7 +24,11 @@ def depth_parameters_in_use(params: TrackerParams) -> Float[np.ndarray, " G"]:
         params: parameters of tracking.
     """
     correction = params.depth_correction
-    return np.zeros(0) if correction is None else np.asarray(correction.vector, np.float64)
+    if correction is None:
+        return np.zeros(0)
+    # As `DepthCorrection.vector`, which on the host would run four small programs.
+    extrinsic = np.zeros(6) if correction.extrinsic is None else np.asarray(correction.extrinsic)
+    return np.concatenate([np.asarray(correction.offsets).reshape(-1), extrinsic]).astype(np.float64)
 
 
 def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:
@@ -71,7 +75,12 @@ def _recorrected_tracker(
 def _grid(params: TrackerParams, parameters: Float[np.ndarray, " G"]) -> DepthCorrection:
     assert params.depth_correction is not None
     like = params.depth_correction
-    return like.with_vector(jnp.asarray(parameters, like.offsets.dtype))
+    return _with_vector(like, parameters.astype(like.offsets.dtype))
+
+
+@jax.jit
+def _with_vector(like: DepthCorrection, parameters: Float[Array, " G"]) -> DepthCorrection:
+    return like.with_vector(parameters)
 
 
 @jax.jit

@@ -53,20 +53,6 @@ class DepthEquations(eqx.Module):
     surface_sensitivity: Float[np.ndarray, "6 G"]
 
 
-def equations_of(
-    params: TrackerParams, source: FrameFeatures, target: FrameFeatures, found: Registration
-) -> DepthEquations | None:
-    """Equations of the correction's parameters after a registration; None where depth is not corrected.
-
-    Args:
-        params: parameters of tracking; both frames have its correction.
-        source: the frame that was registered.
-        target: the frame that it was registered to.
-        found: the registration.
-    """
-    return None if params.depth_correction is None else depth_equations(params, source, target, found)
-
-
 def depth_equations(
     params: TrackerParams, source: FrameFeatures, target: FrameFeatures, found: Registration
 ) -> DepthEquations:

@@ -10,9 +10,8 @@ from sfgs_jax.arrays import checked
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
 from sfgs_jax.slam.frontend import depth_parameters_in_use
-from sfgs_jax.slam.keyframes._depth_equations import DepthEquations
 from sfgs_jax.slam.keyframes._edges import edge_of
-from sfgs_jax.slam.keyframes._focal_lengths import with_focal_lengths
+from sfgs_jax.slam.keyframes._pair_equations import PairEquations
 from sfgs_jax.slam.keyframes._rectification_anew import rows_known
 from sfgs_jax.slam.state._depth_information import DepthPrior, depth_prior, with_extrinsic
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
@@ -29,7 +28,7 @@ def with_registration(
     graph: KeyframeGraph,
     target: int,
     source: int,
-    equations: DepthEquations | None,
+    equations: PairEquations,
     found: Registration,
     config: GraphConfig,
     *,
@@ -42,18 +41,19 @@ def with_registration(
         graph: before; it does not get the edge.
         target: number of the keyframe registered to.
         source: number of the keyframe registered.
-        equations: of the registration; none where depth is not corrected.
+        equations: of the registration.
         found: the registration, with the correction of depth of `params`.
         config: settings.
         told: whether the registration is believed, and the estimates may hear it.
     """
-    edge, in_use = edge_of(target, source, found, config), depth_parameters_in_use(params)
-    if equations is not None:
+    edge, depth = edge_of(target, source, found, config), equations.depth
+    in_use = depth_parameters_in_use(params)
+    if depth is not None:
         edge = replace(
             edge,
             depth_parameters=in_use,
-            sensitivity=equations.sensitivity,
-            surface_sensitivity=equations.surface_sensitivity,
+            sensitivity=depth.sensitivity,
+            surface_sensitivity=depth.surface_sensitivity,
         )
     told &= int(found.source) in (PoseSource.JOINT, PoseSource.SURFACE)
     # Rows that lie where they don't belong look like a camera that does not.
@@ -62,9 +62,9 @@ def with_registration(
         return graph, edge
     # Pairs of the same images say the same, as edges do.
     share = 1 / graph.noise.redundancy
-    graph = with_focal_lengths(params, graph, target, source, found, share)
-    if equations is not None:
-        told_of = share * equations.information, share * equations.vector
+    graph = replace(graph, focal=graph.focal.joined(equations.focal.of_which(share)))
+    if depth is not None:
+        told_of = share * depth.information, share * depth.vector
         graph = replace(graph, depth=graph.depth.plus(*told_of, in_use, prior_of(params.config)))
     return graph, replace(edge, told=True)
 

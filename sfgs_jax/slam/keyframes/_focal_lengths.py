@@ -8,8 +8,6 @@ that the sum of what registrations tell is all there is to keep.
 Only keypoints are asked. A distortion of depth bends surfaces as wrong focal lengths do.
 """
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,33 +15,12 @@ from jax.lax import Precision
 from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam.frontend import features_in_use
 from sfgs_jax.slam.frontend._registration_rows import keypoint_rows
 from sfgs_jax.slam.keyframes._elimination import without_pose
 from sfgs_jax.slam.state._focal_information import FocalInformation
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
-from sfgs_jax.slam.state._registration import BY_KEYPOINTS, Registration
+from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
-
-
-def with_focal_lengths(
-    params: TrackerParams, graph: KeyframeGraph, target: int, source: int, found: Registration, share: float
-) -> KeyframeGraph:
-    """The graph that has heard what a registration says about the focal lengths.
-
-    Args:
-        params: parameters of tracking.
-        graph: before.
-        target: number of the keyframe registered to.
-        source: number of the keyframe registered.
-        found: the registration.
-        share: of what it says that no other registration says too.
-    """
-    if int(found.source) not in BY_KEYPOINTS:
-        return graph
-    moving, fixed = (features_in_use(params, graph.keyframes[number]) for number in (source, target))
-    return replace(graph, focal=graph.focal.joined(focal_lengths_by(params, moving, fixed, found, share)))
 
 
 def focal_lengths_by(
@@ -51,7 +28,6 @@ def focal_lengths_by(
     source: FrameFeatures,
     target: FrameFeatures,
     found: Registration,
-    share: float = 1.0,
 ) -> FocalInformation:
     """What one registration says about the focal lengths.
 
@@ -60,11 +36,10 @@ def focal_lengths_by(
         source: the frame that was registered.
         target: the frame that it was registered to.
         found: the registration, by keypoints.
-        share: of what it says that no other registration says too.
     """
     matrix = np.asarray(_normal_matrix(params, source, target, found), np.float64)
     left = without_pose(matrix)
-    return FocalInformation.of(information=float(left[0, 0]), vector=-float(left[0, 1]), share=share)
+    return FocalInformation.of(information=float(left[0, 0]), vector=-float(left[0, 1]))
 
 
 @jax.jit

@@ -13,10 +13,10 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import Found, depth_parameters_in_use, estimated_timing, features_in_use
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
-from sfgs_jax.slam.keyframes._depth_equations import equations_of
 from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
+from sfgs_jax.slam.keyframes._pair_equations import pair_equations
 from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew, with_first_motion
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
@@ -62,7 +62,7 @@ def with_new_keyframes(
         _, covariance = estimated_timing(params, after)
         graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))
         if bool(after.last_motion.known):
-            graph = rectified_anew(params, graph, np.asarray(after.last_motion.timing.vector), config)
+            graph = rectified_anew(params, graph, after.last_motion.timing.on_host(), config)
     return graph
 
 
@@ -86,8 +86,8 @@ def _reference(tracker: Tracker, back: int, frame: int) -> Reference:
     """The tracker's current reference, or one that it had before."""
     slot = (np.asarray(tracker.current) - back) % len(tracker.reference_keyframes)
     motion = jax.tree.map(lambda ring: np.asarray(ring)[slot], tracker.reference_motions)
-    times = np.asarray([motion.timing.depth_delay, motion.timing.colour_readout, motion.timing.depth_readout])
-    return Reference(reference_at(tracker, slot.astype(np.int32)), motion.twist, times, frame)
+    features = reference_at(tracker, slot.astype(np.int32))
+    return Reference(features, motion.twist, motion.timing.on_host(), frame)
 
 
 def first_keyframe(
@@ -137,7 +137,8 @@ def insert_keyframe(
     if not config.enabled:
         return graph
     graph = share_landmarks(graph, reference, source, found)
-    equations = equations_of(params, new.features, features_in_use(params, graph.keyframes[reference]), found)
+    fixed = features_in_use(params, graph.keyframes[reference])
+    equations = pair_equations(params, new.features, fixed, found)
     graph, edge = with_registration(params, graph, reference, source, equations, found, config)
     graph = replace(graph, edges=(*graph.edges, edge))
     near = neighbours(graph, config)

@@ -14,7 +14,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import features_in_use
 from sfgs_jax.slam.frontend._joint_registration import register
-from sfgs_jax.slam.keyframes._depth_equations import DepthEquations, equations_of
+from sfgs_jax.slam.keyframes._pair_equations import PairEquations, pair_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._maps import maps_of
@@ -36,7 +36,7 @@ class RegisteredPair:
         kept: features of both as the graph had them.
         are_apart: whether they were in two maps, so that nobody knew where they lie to each other.
         found: the registration.
-        equations: of the errors of depth; none where depth is not corrected.
+        equations: of what is the same for all frames.
     """
 
     params: TrackerParams
@@ -45,7 +45,7 @@ class RegisteredPair:
     kept: tuple[FrameFeatures, FrameFeatures]
     are_apart: bool
     found: Registration
-    equations: DepthEquations | None
+    equations: PairEquations
 
     def holds(self, graph: KeyframeGraph) -> bool:
         """True if a later graph has both keyframes as they were registered.
@@ -161,7 +161,7 @@ def _registered(
     fixed, moving = features_in_use(params, target), features_in_use(params, source)
     guess = se3.identity() if are_apart else _by_poses(graph, pair)
     found = register(params, moving, fixed, guess, guess_known=not are_apart)
-    equations = equations_of(params, moving, fixed, found)
+    equations = pair_equations(params, moving, fixed, found)
     return RegisteredPair(params, *pair, (target.features, source.features), are_apart, found, equations)
 
 

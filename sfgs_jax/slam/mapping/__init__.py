@@ -1,5 +1,6 @@
 """The Gaussian map at work: views, seeding, map steps, and the thread that does them."""
 
+from sfgs_jax.slam.mapping._allowance import Allowance as Allowance
 from sfgs_jax.slam.mapping._filling import filled as filled
 from sfgs_jax.slam.mapping._joining import joined_views as joined_views
 from sfgs_jax.slam.mapping._joining import with_lacking_gaussians as with_lacking_gaussians

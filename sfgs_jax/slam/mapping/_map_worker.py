@@ -1,6 +1,7 @@
 """Map workers: own a run's map while it lives, in the run's own thread or in another."""
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Protocol, TypeVar, runtime_checkable
@@ -10,6 +11,7 @@ from jaxtyping import Float
 
 from sfgs_jax.arrays import PATIENCE
 from sfgs_jax.geometry import is_held_out
+from sfgs_jax.slam.mapping._allowance import Allowance
 from sfgs_jax.slam.mapping._map_update import (
     follow_keyframes,
     insert_view,
@@ -27,7 +29,7 @@ _Keyframes = tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, "3"] | None]
 Spill = Callable[[MapState], MapState]
 """Puts the images of old views on disk; the identity keeps them in memory."""
 
-MAX_KEYFRAMES_WAITING = 2
+MAX_KEYFRAMES_WAITING = 32
 """Views of keyframes beyond which a thread does not wait until the tracker is idle."""
 MAX_VIEWS_WAITING = 64
 """Ordinary views that wait; beyond them the oldest is dropped, as a similar one came soon after it."""
@@ -97,7 +99,8 @@ class ThreadedMapWorker:
     """Maps in a thread of its own, in the time that tracking leaves.
 
     It inserts one view or does one map step at a time. It begins only while the tracker waits for a frame
-    that is not there yet, because views can wait longer than frames.
+    that is not there yet, and while few frames were late beside it (`MappingConfig.late_share`), because
+    views can wait longer than frames.
     """
 
     def __init__(
@@ -123,9 +126,10 @@ class ThreadedMapWorker:
         self._mapping = state.mapping
         self._changed = threading.Condition()
         self._keyframes = (state.graph.poses, state.row_times)
+        self._allowance = Allowance(state.config.mapping.late_share)
         self._keyframe_views: deque[View] = deque()
         self._other_views: deque[View] = deque(maxlen=max_views_waiting)
-        self._idle, self._ended = True, False
+        self._idle, self._busy, self._ended = True, False, False
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name="mapper", daemon=True)
         self._thread.start()
@@ -137,9 +141,15 @@ class ThreadedMapWorker:
 
     def frames(self, frames: Iterable[_T]) -> Iterator[_T]:
         """The frames; work begins only while one is waited for."""
+        was_busy, asked = False, time.monotonic()
         for frame in frames:
+            # A frame that is there at once came while the one before it was tracked.
+            was_late = time.monotonic() - asked < self._patience
+            self._allowance.frame_came(late=was_busy and was_late)
+            was_busy = self._busy
             self._tell(idle=False)
             yield frame
+            was_busy, asked = was_busy or self._busy, time.monotonic()
             self._tell(idle=True)
 
     def learn(self, state: SlamState, view: View | None) -> float:
@@ -192,12 +202,14 @@ class ThreadedMapWorker:
                     keyframes = self._keyframes
                     waiting = self._keyframe_views or self._other_views
                     view = waiting.popleft() if waiting else None
+                    self._busy = True
                 if view is not None:
                     self._insert(view, keyframes)
                 elif self._ended:
                     return
                 else:
                     self._optimise(keyframes)
+                self._busy = False
         except BaseException as error:
             self._failure = error
 
@@ -212,7 +224,7 @@ class ThreadedMapWorker:
 
     def _may_begin(self) -> bool:
         has_work = bool(self._keyframe_views or self._other_views or self._mapping.views)
-        return self._has_to_begin() or (self._idle and has_work)
+        return self._has_to_begin() or (self._idle and has_work and self._allowance.is_left)
 
     def _insert(self, view: View, keyframes: _Keyframes) -> None:
         with self._stages("view"):

@@ -17,6 +17,7 @@ from sfgs_jax.arrays import (
     Text,
     checked,
     excerpt,
+    one_blas_thread,
     printed_fields,
     return_free_memory,
     short_turns,
@@ -238,6 +239,7 @@ def _ignore(progress: Progress) -> None:
 
 
 @checked
+@one_blas_thread()
 def run(
     frames: Frames,
     camera: Camera,

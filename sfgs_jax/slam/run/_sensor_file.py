@@ -26,7 +26,7 @@ def write_sensors(state: SlamState, path: Path) -> None:
     found: dict[str, Any] = {}
     if state.config.tracking.estimate_timing:
         timing, covariance = estimated_timing(state.params, state.tracker)
-        found["times_s"] = dict(zip(TIME_NAMES, np.asarray(timing.vector, float).tolist(), strict=True))
+        found["times_s"] = dict(zip(TIME_NAMES, timing.on_host().astype(float).tolist(), strict=True))
         found["times_sigma_s"] = dict(zip(TIME_NAMES, _sigmas(covariance).tolist(), strict=True))
     depth = estimated_depth(state)
     if depth is not None:

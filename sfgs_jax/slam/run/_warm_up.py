@@ -14,6 +14,7 @@ from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import (
     Localised,
+    begin_tracking,
     features_in_use,
     find_frame,
     needs_keyframe,
@@ -91,7 +92,8 @@ def _compile_tracking(state: SlamState, frame: Frame, registered: Future[Registr
     for seconds in (0.0, 1.0):
         state, _, _ = follow(state, replace(frame, timestamp=seconds))
     graph, config = state.graph, state.config
-    found = find_frame(state.params, state.tracker, frame, 1.0, graph, config.graph)
+    tracked = begin_tracking(state.params, state.tracker, frame, 1.0)
+    found = find_frame(state.params, state.tracker, tracked, frame, 1.0, graph, config.graph)
     again = registered.result()
     needs_keyframe(again, config.tracking)
     features, slot = graph.keyframes[0].features, np.asarray(0, np.int32)

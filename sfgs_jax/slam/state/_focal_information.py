@@ -34,17 +34,26 @@ class FocalInformation:
     count: float = 0.0
 
     @classmethod
-    def of(cls, information: float, vector: float, share: float = 1.0) -> "FocalInformation":
+    def of(cls, information: float, vector: float) -> "FocalInformation":
         """What one registration says; nothing if it knows nothing.
 
         Args:
             information: of its equation.
             vector: right-hand side.
-            share: of it that no other registration says too.
         """
         if information <= 0:
             return cls()
-        return cls(share * information, share * vector, share * vector**2 / information, share)
+        return cls(information, vector, vector**2 / information, 1.0)
+
+    def of_which(self, share: float) -> "FocalInformation":
+        """A share of what is said.
+
+        Args:
+            share: that no other registration says too.
+        """
+        return FocalInformation(
+            share * self.information, share * self.vector, share * self.square, share * self.count
+        )
 
     def joined(self, other: "FocalInformation") -> "FocalInformation":
         """The sum with that of other registrations of the same camera.

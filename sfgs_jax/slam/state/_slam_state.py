@@ -75,7 +75,7 @@ class SlamState:
     def row_times(self) -> Float[np.ndarray, "3"] | None:
         """Times of the camera's rows as estimated, in the order of `SensorTiming`; None if they are not."""
         timed = self.config.tracking.estimate_timing
-        return np.asarray(self.tracker.last_motion.timing.vector) if timed else None
+        return self.tracker.last_motion.timing.on_host() if timed else None
 
     @property
     def T_world_cam(self) -> jaxlie.SE3:
