@@ -10,9 +10,9 @@ from threadpoolctl import ThreadpoolController
 def one_blas_thread() -> Iterator[None]:
     """Let linear algebra on the host use one thread in the block.
 
-    Its matrices are small. Its other threads spin while they wait for work, and so take the cores from
-    compiled programs: beside them two cores track a fifth fewer frames. With one thread the sums are the same
-    on every machine, too.
+    Its matrices are small. Its other threads spin while they wait for work, which takes the cores from
+    compiled programs. Beside them two cores track a tenth fewer frames in real time. With one thread the sums
+    do not depend on the number of cores, either.
     """
     with ThreadpoolController().limit(limits=1, user_api="blas"):
         yield

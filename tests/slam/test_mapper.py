@@ -12,7 +12,7 @@ import pytest
 from sfgs_jax import Camera, Frame, slam
 from sfgs_jax.datasets import play
 from sfgs_jax.slam import Stopwatch, follow
-from sfgs_jax.slam.mapping import MAX_KEYFRAMES_WAITING, Allowance, ThreadedMapWorker
+from sfgs_jax.slam.mapping import Allowance, ThreadedMapWorker
 from sfgs_jax.slam.run import spill_views
 from sfgs_jax.slam.state import MapState
 
@@ -102,23 +102,24 @@ def test_the_mapper_waits_after_frames_were_late_beside_it(room, frames, config)
     assert len(mapper.stop().views) == 1
 
 
-def test_keyframes_come_first_and_then_the_newest_other_views(room, frames, config):
+def test_keyframes_come_first_and_then_the_other_views(room, frames, config):
     state, _, keyframe = follow(slam.init(room.camera, config), frames[0])
     assert keyframe is not None
-    mapper = worker(state, max_views_waiting=2)
+    mapper = worker(state)
     for _ in mapper.frames(frames[:1]):
         for number in (1, 2, 3):
             mapper.learn(state, replace(keyframe, frame=number))
         mapper.learn(state, keyframe)
         mapping = mapper.stop()
-        assert [view.frame for view in mapping.views] == [0, 2, 3]
+        assert [view.frame for view in mapping.views] == [0, 1, 2, 3]
 
 
-def test_many_keyframes_are_not_kept_waiting(room, frames, config):
+def test_many_views_are_not_kept_waiting(room, frames, config):
+    config = replace(config, mapping=replace(config.mapping, views_in_memory=2))
     state, _, view = follow(slam.init(room.camera, config), frames[0])
     mapper = worker(state)
     for _ in mapper.frames(frames[:1]):
-        for _ in range(MAX_KEYFRAMES_WAITING + 2):
+        for _ in range(4):
             mapper.learn(state, view)
         _wait(lambda: len(mapper.mapping.views) >= 2)
         assert len(mapper.mapping.views) == 2

@@ -1,4 +1,4 @@
-"""What a registration of two keyframes says about the camera."""
+"""Equations of the camera after a registration of two keyframes."""
 
 from dataclasses import dataclass
 

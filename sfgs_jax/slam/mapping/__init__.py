@@ -14,7 +14,6 @@ from sfgs_jax.slam.mapping._map_update import follow_keyframes as follow_keyfram
 from sfgs_jax.slam.mapping._map_update import follow_trajectory as follow_trajectory
 from sfgs_jax.slam.mapping._map_update import map_frame as map_frame
 from sfgs_jax.slam.mapping._map_update import optimise_once as optimise_once
-from sfgs_jax.slam.mapping._map_worker import MAX_KEYFRAMES_WAITING as MAX_KEYFRAMES_WAITING
 from sfgs_jax.slam.mapping._map_worker import InlineMapWorker as InlineMapWorker
 from sfgs_jax.slam.mapping._map_worker import MapWorker as MapWorker
 from sfgs_jax.slam.mapping._map_worker import ThreadedMapWorker as ThreadedMapWorker

@@ -2,7 +2,7 @@
 
 
 class Allowance:
-    """How often frames may be late for the sake of a thread that can wait.
+    """Limit on the frames that are late for the sake of a thread that can wait.
 
     On few cores a frame takes half as long again beside such a thread. Each frame adds a share of a late one
     to what is allowed, and each late one takes a whole.

@@ -29,11 +29,6 @@ _Keyframes = tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, "3"] | None]
 Spill = Callable[[MapState], MapState]
 """Puts the images of old views on disk; the identity keeps them in memory."""
 
-MAX_KEYFRAMES_WAITING = 32
-"""Views of keyframes beyond which a thread does not wait until the tracker is idle."""
-MAX_VIEWS_WAITING = 64
-"""Ordinary views that wait; beyond them the oldest is dropped, as a similar one came soon after it."""
-
 
 @runtime_checkable
 class MapWorker(Protocol):
@@ -98,9 +93,10 @@ class InlineMapWorker:
 class ThreadedMapWorker:
     """Maps in a thread of its own, in the time that tracking leaves.
 
-    It inserts one view or does one map step at a time. It begins only while the tracker waits for a frame
-    that is not there yet, and while few frames were late beside it (`MappingConfig.late_share`), because
-    views can wait longer than frames.
+    It inserts one view or does one map step at a time. Views can wait longer than frames. So it begins only
+    while the tracker waits for a frame that is not there yet, and while few frames were late beside it
+    (`MappingConfig.late_share`). Once as many views wait as have room in memory
+    (`MappingConfig.views_in_memory`), it begins at once.
     """
 
     def __init__(
@@ -109,7 +105,6 @@ class ThreadedMapWorker:
         stages: Stages,
         spill: Spill,
         *,
-        max_views_waiting: int = MAX_VIEWS_WAITING,
         patience: float = PATIENCE,
     ) -> None:
         """Start the thread.
@@ -118,7 +113,6 @@ class ThreadedMapWorker:
             state: the run so far; its settings, camera and map are taken.
             stages: times the stages `view` and `mapping`.
             spill: puts the images of old views on disk.
-            max_views_waiting: ordinary views that wait before the oldest is dropped.
             patience: seconds that the tracker waits for a frame before the thread begins.
         """
         self._config, self._camera = state.config, state.mapping_camera
@@ -128,7 +122,7 @@ class ThreadedMapWorker:
         self._keyframes = (state.graph.poses, state.row_times)
         self._allowance = Allowance(state.config.mapping.late_share)
         self._keyframe_views: deque[View] = deque()
-        self._other_views: deque[View] = deque(maxlen=max_views_waiting)
+        self._other_views: deque[View] = deque()
         self._idle, self._busy, self._ended = True, False, False
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name="mapper", daemon=True)
@@ -220,7 +214,8 @@ class ThreadedMapWorker:
                 return
 
     def _has_to_begin(self) -> bool:
-        return self._ended or len(self._keyframe_views) > MAX_KEYFRAMES_WAITING
+        waiting = len(self._keyframe_views) + len(self._other_views)
+        return self._ended or waiting > self._config.mapping.views_in_memory
 
     def _may_begin(self) -> bool:
         has_work = bool(self._keyframe_views or self._other_views or self._mapping.views)
