@@ -18,7 +18,7 @@ Files = dict[str, bytes]
 
 def recordings() -> dict[str, Files]:
     """Files of each layout by its name."""
-    return {**_listed(), **_described()}
+    return {**_listed(), **_described(), **_reconstructed()}
 
 
 def png_of(image: np.ndarray) -> bytes:
@@ -113,7 +113,6 @@ def _described() -> dict[str, Files]:
     """Layouts that a file describes."""
     colour, depth = _images()
     png, d16, two = png_of(colour), png_of(depth), range(2)
-    metres = (depth / 1000).astype(np.float32)
     return {
         "open3d": {
             "intrinsic.json": json.dumps(
@@ -137,6 +136,29 @@ def _described() -> dict[str, Files]:
             **{f"mav0/cam0/data/{n}.png": png for n in two},
             **{f"mav0/depth0/data/{n}.png": d16 for n in two},
         },
+        "scannetpp": {
+            "pose_intrinsic_imu.json": json.dumps(
+                {
+                    f"frame_{n:06d}": {
+                        "timestamp": n / 30,
+                        "pose": POSE.tolist(),
+                        "intrinsic": K[:3, :3].tolist(),
+                    }
+                    for n in two
+                }
+            ).encode(),
+            **{f"rgb/frame_{n:06d}.png": png for n in two},
+            **{f"depth/frame_{n:06d}.png": d16 for n in two},
+        },
+    }
+
+
+def _reconstructed() -> dict[str, Files]:
+    """Layouts of reconstructions from photographs, with depth beside them."""
+    colour, depth = _images()
+    png, d16, two = png_of(colour), png_of(depth), range(2)
+    metres = (depth / 1000).astype(np.float32)
+    return {
         "nerfstudio": {
             "transforms.json": json.dumps(
                 {
@@ -160,19 +182,5 @@ def _described() -> dict[str, Files]:
             **{f"images/{n}.png": png for n in two},
             "stereo/depth_maps/0.png.geometric.bin": f"{WIDTH}&{HEIGHT}&1&".encode() + metres.tobytes(),
             "depth/1.png": d16,
-        },
-        "scannetpp": {
-            "pose_intrinsic_imu.json": json.dumps(
-                {
-                    f"frame_{n:06d}": {
-                        "timestamp": n / 30,
-                        "pose": POSE.tolist(),
-                        "intrinsic": K[:3, :3].tolist(),
-                    }
-                    for n in two
-                }
-            ).encode(),
-            **{f"rgb/frame_{n:06d}.png": png for n in two},
-            **{f"depth/frame_{n:06d}.png": d16 for n in two},
         },
     }

@@ -22,7 +22,7 @@ ROOTS = (
 )
 
 NEGATIVE = {
-    *("FeaturesConfig.min_similarity", "GraphConfig.loop_similarity", "GicpConfig.min_normal_cosine"),
+    *("GraphConfig.loop_similarity", "GicpConfig.min_normal_cosine"),
 }
 """Settings that may be -1: cosines."""
 

@@ -62,6 +62,26 @@ def moved_by(step: float, inputs: Any, rates: Any) -> Any:
     )
 
 
+_EVERY, _LAST, _EARLIER = slice(None), slice(-1, None), slice(-1)
+PARTS: dict[str, tuple[Any, slice | None]] = {
+    "intrinsics": (lambda tree: tree[0].camera, None),
+    "network": (lambda tree: tree[0].network, None),
+    "descriptors": (lambda tree: tree[0].network.describe, None),
+    "reliability": (lambda tree: tree[0].network.rely, None),
+    "times of the rows": (lambda tree: tree[0].timing, None),
+    "depth grid": (lambda tree: tree[0].depth_correction.offsets, _EVERY),
+    "extrinsic": (lambda tree: tree[0].depth_correction.extrinsic, _EVERY),
+    "image": (lambda tree: tree[1], _LAST),
+    "depth": (lambda tree: tree[2], _LAST),
+    "earlier images": (lambda tree: tree[1], _EARLIER),
+    "earlier depths": (lambda tree: tree[2], _EARLIER),
+    "noise": (lambda tree: tree[0].noise, None),
+    "seconds": (lambda tree: tree[3], _EVERY),
+    "lens": (lambda tree: tree[4], _EVERY),
+}
+"""What the pose depends on: its place among the inputs, and which of several frames are moved."""
+
+
 @pytest.mark.usefixtures("float64")
 def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     """The last pose of a sequence, in forward mode: the guide's example is in reverse mode."""
@@ -91,23 +111,6 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
 
         return eqx.filter_jvp(last, (inputs,), (rates,))
 
-    every, last_one, earlier = slice(None), slice(-1, None), slice(-1)
-    parts = {
-        "intrinsics": (lambda tree: tree[0].camera, None),
-        "network": (lambda tree: tree[0].network, None),
-        "descriptors": (lambda tree: tree[0].network.describe, None),
-        "reliability": (lambda tree: tree[0].network.rely, None),
-        "times of the rows": (lambda tree: tree[0].timing, None),
-        "depth grid": (lambda tree: tree[0].depth_correction.offsets, every),
-        "extrinsic": (lambda tree: tree[0].depth_correction.extrinsic, every),
-        "image": (lambda tree: tree[1], last_one),
-        "depth": (lambda tree: tree[2], last_one),
-        "earlier images": (lambda tree: tree[1], earlier),
-        "earlier depths": (lambda tree: tree[2], earlier),
-        "noise": (lambda tree: tree[0].noise, None),
-        "seconds": (lambda tree: tree[3], every),
-        "lens": (lambda tree: tree[4], every),
-    }
     zero = jax.tree.map(lambda x: np.zeros_like(x) if eqx.is_inexact_array_like(x) else None, inputs)
 
     def moved_along(x):
@@ -117,7 +120,7 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     with jax.numpy_dtype_promotion("standard"):  # indices are int64 here
         shapes = jax.eval_shape(slam.track, inputs[0], tracker, *(x[0] for x in inputs[1:4]))[0]
         tracker = jax.tree.map(lambda x, like: x.astype(like.dtype), tracker, shapes)
-        for name, (part, rows) in parts.items():
+        for name, (part, rows) in PARTS.items():
             along = jax.tree.map(moved_along, eqx.filter(part(inputs), eqx.is_inexact_array_like))
             if rows is not None:
                 kept, along = along[rows], np.zeros_like(along)

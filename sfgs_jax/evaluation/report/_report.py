@@ -11,7 +11,7 @@ from sfgs_jax.datasets import Recording
 from sfgs_jax.evaluation._run_folder import posed_frames, read_json
 from sfgs_jax.evaluation.images import FRAMES_FILE, read_frames
 from sfgs_jax.evaluation.report._compared_views import compared_views
-from sfgs_jax.evaluation.report._figures import (
+from sfgs_jax.evaluation.report._headline_figures import (
     cards,
     image_table,
     missing_figures,

@@ -77,10 +77,9 @@ class FeaturesConfig:
         check_choice(self, "match_weights", get_args(MatchWeights))
         check_counts(self, 1, "max_keypoints", "max_rigid_matches", "max_iterations")
         check_counts(self, 1, "min_inliers", "min_inliers_alone")
-        check_range(self, -1, 1, "min_similarity")
         check_range(self, 0, 2, "guidance")
-        check_range(self, 0, 1, "min_contrast", "min_inlier_share", "min_inlier_share_alone")
-        check_range(self, 0, 1, "min_inlier_share_lost")
+        check_range(self, 0, 1, "min_similarity", "min_contrast", "min_inlier_share")
+        check_range(self, 0, 1, "min_inlier_share_alone", "min_inlier_share_lost")
         check_positive(
             self, "depth_tolerance", "max_distance", "pixel_sigma", "inverse_depth_sigma", "tolerance"
         )

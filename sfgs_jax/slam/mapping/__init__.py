@@ -4,11 +4,11 @@ from sfgs_jax.slam.mapping._allowance import Allowance as Allowance
 from sfgs_jax.slam.mapping._filling import filled as filled
 from sfgs_jax.slam.mapping._joining import joined_views as joined_views
 from sfgs_jax.slam.mapping._joining import with_lacking_gaussians as with_lacking_gaussians
+from sfgs_jax.slam.mapping._loss import mapping_loss as mapping_loss
 from sfgs_jax.slam.mapping._map_exposure import in_the_mean_exposure as in_the_mean_exposure
 from sfgs_jax.slam.mapping._map_step import MapParams as MapParams
 from sfgs_jax.slam.mapping._map_step import MapStep as MapStep
 from sfgs_jax.slam.mapping._map_step import map_step as map_step
-from sfgs_jax.slam.mapping._map_step import mapping_loss as mapping_loss
 from sfgs_jax.slam.mapping._map_step import prune as prune
 from sfgs_jax.slam.mapping._map_update import follow_keyframes as follow_keyframes
 from sfgs_jax.slam.mapping._map_update import follow_trajectory as follow_trajectory

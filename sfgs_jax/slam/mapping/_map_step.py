@@ -14,6 +14,7 @@ from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import RollingShutter, SensorTiming, depth_in_time, fitted_gain, with_gain
 from sfgs_jax.slam.config import OptimisationConfig, SeedingConfig
+from sfgs_jax.slam.mapping._loss import mapping_loss
 from sfgs_jax.slam.mapping._seeding import uncovered
 from sfgs_jax.slam.state._gaussian_map import (
     GaussianMap,
@@ -24,11 +25,9 @@ from sfgs_jax.slam.state._gaussian_map import (
     with_rows,
 )
 from sfgs_jax.slam.state._map_state import View
-from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, in_sight, l1, render, ssim
+from sfgs_jax.splatting import Gaussians, RenderConfig, RenderOutput, in_sight, render
 
 _BETA2, _EPSILON = 0.999, 1e-15
-_MIN_ALPHA = 0.5
-"""Accumulated opacity below which the map's depth says nothing about where its Gaussians should be."""
 _PRIOR_SHARE = 0.1
 """Weight of a gain of 1, as a share of a view's pixels, so that a chain of views does not drift."""
 _NEW_GAIN = 0.1
@@ -38,28 +37,6 @@ step, and a single fit takes that for the view's."""
 
 _About = tuple[Array, Array, Array, Array, Array, Array, Array]
 """Fields of `MapStep` that come with the loss: missing, empty, depth, gain, seed_gain, overflow, needed."""
-
-
-def mapping_loss(
-    out: RenderOutput,
-    rgb: Float[Array, "h w 3"],
-    depth: Float[Array, "h w"],
-    valid: Bool[Array, "h w"],
-    config: OptimisationConfig,
-) -> Float[Array, ""]:
-    """Loss of GS-ICP-SLAM: (1 - w) L1 + w (1 - SSIM) + w_depth L1(depth), the depth where it is measured.
-
-    Args:
-        out: the map as the view's camera sees it.
-        rgb: the view's colours in [0, 1].
-        depth: of the view, metres; 0 where missing.
-        valid: pixels that hold colour.
-        config: weights.
-    """
-    similarity = ssim(out.rgb, rgb, valid)
-    colour = (1 - config.ssim_weight) * l1(out.rgb, rgb, valid) + config.ssim_weight * (1 - similarity)
-    measured = (depth > 0) & (out.alpha > _MIN_ALPHA)
-    return colour + config.depth_weight * l1(out.depth, depth, measured)
 
 
 class MapParams(eqx.Module):
