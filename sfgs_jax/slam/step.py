@@ -12,9 +12,9 @@ import numpy as np
 
 from sfgs_jax.arrays import checked_but
 from sfgs_jax.geometry import Frame, se3, warn_unless_metres, warn_unless_unit_colours
-from sfgs_jax.slam._found_frame import find_pose
 from sfgs_jax.slam._frame_brightness import look_of
 from sfgs_jax.slam._frame_check import check_frame
+from sfgs_jax.slam._frame_pose import find_pose
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import with_corrected_depth
 from sfgs_jax.slam.keyframes import Registrations, advance_graph, with_new_keyframes
