@@ -24,7 +24,9 @@ def _run_lines(metrics: dict[str, Any]) -> list[str]:
     frames, speed = metrics.get("frames", {}), metrics.get("fps", {})
     lines = []
     if {"tracked", "total", "keyframes"} <= frames.keys():
-        line = f"{frames['tracked']} of {frames['total']} frames tracked, {frames['keyframes']} keyframes"
+        others = [f"{frames[kind]} {kind}" for kind in ("lost", "dropped", "skipped") if frames.get(kind)]
+        parts = f"{frames['tracked']} of {frames['total']} frames tracked", *others
+        line = ", ".join([*parts, f"{frames['keyframes']} keyframes"])
         gaussians = metrics.get("map", {}).get("gaussians")
         lines.append(line if gaussians is None else f"{line}, {gaussians} Gaussians")
     if elsewhere := frames.get("in_other_maps"):

@@ -18,7 +18,7 @@ import pytest
 from experiments.crash_faults import ReadOnly
 from experiments.crash_outputs import failing_outputs, other_files, stopped_run
 from sfgs_jax import slam
-from sfgs_jax.cli import COMMANDS, Command, RunObserver, main, run_command
+from sfgs_jax.cli import COMMANDS, Command, RunObserver, main, run_command, summary
 from sfgs_jax.datasets import LAYOUTS, SyntheticRecording, open_recording, prefetch, write_recording
 from sfgs_jax.geometry import read_covariances, read_tum
 from sfgs_jax.slam import GROUND_TRUTH_FILE, OUTPUT_FILES, STORAGE, locked_folder
@@ -554,3 +554,11 @@ def test_a_run_goes_on_in_the_map_of_another(tmp_path, capsys):
     assert run(other, second, "--map", str(first), "--overwrite") == 2
     assert "another camera" in capsys.readouterr().err
     assert len(load_ply(second / "map.ply").means) == after
+
+
+def test_the_summary_counts_the_frames_that_have_no_pose(tmp_path):
+    frames = {"total": 40, "tracked": 30, "lost": 4, "dropped": 5, "skipped": 1, "keyframes": 3}
+    first, *_ = summary({"frames": frames}, tmp_path).splitlines()
+    assert first == "30 of 40 frames tracked, 4 lost, 5 dropped, 1 skipped, 3 keyframes"
+    first, *_ = summary({"frames": frames | {"lost": 0, "dropped": 0, "skipped": 0}}, tmp_path).splitlines()
+    assert first == "30 of 40 frames tracked, 3 keyframes"
