@@ -3,9 +3,9 @@
     python -m experiments.focal_lengths [--recordings room redkitchen ...] [--stride 3] [--errors -3 0 3]
 
 Each recording is tracked with focal lengths that are wrong by each error. The estimate is that after the last
-frame, with its standard deviation. The largest estimate at any frame that would be believed is in the column
-`sure`. `TrackingConfig.max_focal_error` has to lie above those with right focal lengths. The last columns say
-at which frame an estimate was beyond a limit.
+frame, with its standard deviation. The column `sure` has the largest estimate at any frame that would be
+believed. `TrackingConfig.max_focal_error` has to lie above those with right focal lengths. The last columns
+say at which frame an estimate was beyond a limit.
 
 Real recordings are found through SFGS_DATA, by default `../shared`; one that is not there is left out with a
 line.

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
@@ -36,6 +37,11 @@ class DepthCorrection(eqx.Module):
         """All parameters: the offsets row by row, then the extrinsic, zeros where there is none."""
         offsets, extrinsic = self.offsets.reshape(-1), self.extrinsic
         return jnp.concatenate([offsets, jnp.zeros(6, offsets.dtype) if extrinsic is None else extrinsic])
+
+    def on_host(self) -> Float[np.ndarray, " G"]:
+        """As `vector`, fetched without running a program."""
+        extrinsic = np.zeros(6) if self.extrinsic is None else np.asarray(self.extrinsic)
+        return np.concatenate([np.asarray(self.offsets).reshape(-1), extrinsic])
 
     def with_vector(self, parameters: Float[Array, " G"]) -> "DepthCorrection":
         """A correction like this one with other parameters.

@@ -81,3 +81,9 @@ def test_gradients_reach_the_offsets(correction, depth):
         return jnp.sum(weights * DepthCorrection(jnp.asarray(offsets)).corrected(depth, CAMERA))
 
     check_grads(total, (correction.offsets,), order=1, modes=("rev",), atol=0.1, rtol=0.02)
+
+
+@pytest.mark.parametrize("extrinsic", [None, jnp.arange(6, dtype=jnp.float32)])
+def test_on_the_host_the_parameters_are_the_same(correction, extrinsic):
+    correction = DepthCorrection(correction.offsets, extrinsic)
+    np.testing.assert_array_equal(correction.on_host(), correction.vector)

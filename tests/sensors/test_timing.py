@@ -60,3 +60,8 @@ def test_the_vector_has_the_order_of_the_attributes():
     np.testing.assert_allclose(timing.vector, [0.01, 0.03, 0.02])
     again = SensorTiming.of_vector(timing.vector)
     assert (again.depth_delay, again.depth_readout) == (timing.depth_delay, timing.depth_readout)
+
+
+def test_on_the_host_the_times_are_the_same():
+    timing = SensorTiming(0.015, 0.03, 0.025)
+    np.testing.assert_array_equal(timing.on_host(), timing.vector)

@@ -167,7 +167,7 @@ class TrackingConfig:
     larger one, frames are lost: their poses would drift, and fit as well as ever. They show three quarters of
     it. 1 looks for none."""
     max_depth_scatter: float = 0.01
-    """Largest scatter of depth from pixel to pixel, as a share of it, up to 2.5 metres; farther off more,
+    """Largest scatter of depth from pixel to pixel, as a share of it, up to 2.5 metres. Farther off it grows
     with the square of depth. Depth that scatters more is noise, and is not used."""
     keyframe_inlier_fraction: float = 0.7
     """Share of surface inliers below which a new keyframe is taken."""

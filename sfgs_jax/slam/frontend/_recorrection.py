@@ -24,11 +24,7 @@ def depth_parameters_in_use(params: TrackerParams) -> Float[np.ndarray, " G"]:
         params: parameters of tracking.
     """
     correction = params.depth_correction
-    if correction is None:
-        return np.zeros(0)
-    # As `DepthCorrection.vector`, which on the host would run four small programs.
-    extrinsic = np.zeros(6) if correction.extrinsic is None else np.asarray(correction.extrinsic)
-    return np.concatenate([np.asarray(correction.offsets).reshape(-1), extrinsic]).astype(np.float64)
+    return np.zeros(0) if correction is None else correction.on_host().astype(np.float64)
 
 
 def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:

@@ -94,8 +94,8 @@ class ThreadedMapWorker:
     """Maps in a thread of its own, in the time that tracking leaves.
 
     It inserts one view or does one map step at a time. Views can wait longer than frames. So it begins only
-    while the tracker waits for a frame that is not there yet, and while few frames were late beside it
-    (`MappingConfig.late_share`). Once as many views wait as have room in memory
+    while the tracker waits for a frame that is not there yet. It waits longer once many frames were late
+    beside it (`MappingConfig.late_share`). Once as many views wait as have room in memory
     (`MappingConfig.views_in_memory`), it begins at once.
     """
 
