@@ -13,20 +13,23 @@ _SCALE_TOLERANCE = 1.2
 """Factor that the scale of a trajectory may be off by its own error."""
 
 
-def failure_of(metrics: dict[str, Any], source: str, contradiction: str = "") -> str | None:
+def failure_of(
+    metrics: dict[str, Any], source: str, contradiction: str = "", *, confirming: int = 0
+) -> str | None:
     """Why a run that came to its end is no success; None if it is one.
 
     Args:
         metrics: content of `metrics.json` of a run over all frames.
         source: the recording, as the command line named it.
         contradiction: why frames were not believed, as the run said it last; empty if it never did.
+        confirming: frames that are lost until a place of an earlier map is believed; they are no failure.
     """
     frames = metrics["frames"]
     lost, offered = frames["lost"], frames["total"] - frames["dropped"]
     advice = contradiction or f"`sfgs-jax check {source}` says what is wrong with the recording."
     if metrics["map"]["gaussians"] == 0:
         return f"The map is empty: no Gaussian was made of {offered} frames. {advice}"
-    if lost >= _MOST_LOST * offered:
+    if lost - confirming >= _MOST_LOST * (offered - confirming):
         return f"{lost} of {offered} frames were lost, a tenth or more. {advice}"
     return None
 

@@ -370,7 +370,8 @@ def _closed(options: RunOptions, out: ResultFolder, result: Run, written: Path, 
         print(summary(metrics, written))
     if warning := scale_warning(result.trajectory, recording):
         logger.warning("%s", warning)
-    if problem := failure_of(metrics, out.config.source, contradiction):
+    confirming = result.config.graph.relocalisation_frames - 1 if out.config.map else 0
+    if problem := failure_of(metrics, out.config.source, contradiction, confirming=confirming):
         logger.error("%s", problem)
     return 1 if problem is not None or written != folder else 0
 

@@ -23,6 +23,17 @@ def test_an_empty_map_and_lost_frames_are_failures():
     assert failure_of(metrics, "desk", told) == f"4 of 40 frames were lost, a tenth or more. {told}"
 
 
+def test_the_frames_that_confirm_a_place_of_an_earlier_map_are_no_failure():
+    frames = {"total": 40, "dropped": 0, "lost": 4}
+    metrics = {"frames": frames, "map": {"gaussians": 100}}
+    assert failure_of(metrics, "desk", confirming=4) is None
+    frames["lost"] = 8
+    assert failure_of(metrics, "desk", confirming=4).startswith("8 of 40 frames were lost, a tenth or more.")
+    # A recording in which no frame was tracked is none of success, however short.
+    frames |= {"total": 4, "lost": 4}
+    assert failure_of(metrics, "desk", confirming=4) is not None
+
+
 @pytest.mark.parametrize(("factor", "named"), [(1.0, False), (1.1, False), (5.0, True), (0.2, True)])
 def test_poses_of_another_scale_are_named(factor, named, rng):
     poses = RECORDING.ground_truth.poses.copy()
