@@ -188,7 +188,11 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
     begun = None if place is None or options.resume else _in_map(place, options.slam, recording.camera)
     frames = play if options.realtime else frames
     with locked_folder(folder, make=not options.resume):
-        if not options.resume:
+        if options.resume:
+            resume_folder(folder)
+            # What a run has kept for another day stays.
+            options = dataclasses.replace(options, keep_map=options.keep_map or _has_ended(folder))
+        else:
             prepare_folder(folder, overwrite=options.overwrite)
         with logging_to(folder / "run.log"):
             resumed = _resumed(folder, config, recording.camera) if options.resume else begun
@@ -272,14 +276,21 @@ def _resumed(folder: Path, config: RunConfig, camera: Camera) -> Run:
     """The run that was stopped.
 
     Raises:
-        InputError: there is none, or it had other settings or another camera.
+        InputError: it had other settings or another camera.
     """
-    storage = resume_folder(folder)
     if to_json(read_config(folder / "config.json")) != to_json(config):
         raise InputError(
             f"The run in {folder} was started with other settings; pass --config {folder / 'config.json'}."
         )
-    return load_run(storage, config.slam, camera)
+    return load_run(folder / STORAGE, config.slam, camera)
+
+
+def _has_ended(folder: Path) -> bool:
+    """Whether the run in a folder came to its end."""
+    try:
+        return not json.loads((folder / "metrics.json").read_text())["frames"]["interrupted"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 def _in_map(folder: Path, config: SlamConfig, camera: Camera) -> Run:

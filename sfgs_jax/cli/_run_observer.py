@@ -111,6 +111,8 @@ class RunObserver:
             # Said once while it lasts.
             if not self._contradicted:
                 logger.warning("frames are lost from %d on: %s", number, info.contradiction)
+        elif info is not None and not info.tracked and _is_confirming(progress.run):
+            logger.info("frame %d: its place in the map is not confirmed yet", number)
         elif info is not None and not info.tracked:
             share = 100 * info.inlier_fraction
             logger.warning(
@@ -137,3 +139,9 @@ class RunObserver:
             return f", ATE {100 * ate(run.trajectory, truth).rmse_m:.1f} cm" if truth is not None else ""
         except InputError:
             return ""
+
+
+def _is_confirming(run: Run) -> bool:
+    """Whether a run that began in an earlier map may still be looking for its place there."""
+    begun = bool(run.state.graph.keyframes) and not len(run.state.log.timestamps)
+    return begun and run.num_frames < run.config.graph.relocalisation_frames

@@ -36,7 +36,8 @@ def _run_lines(metrics: dict[str, Any]) -> list[str]:
             f"{elsewhere} frames are in {maps}: they share no place with the largest that was recognised "
             "(trajectory_2.txt, map_2.ply, and so on)"
         )
-    if {"frames", "overall"} <= speed.keys():
+    # A run that was resumed after its last frame tracked none.
+    if {"frames", "overall"} <= speed.keys() and speed["frames"] > 0:
         lines.append(
             f"{speed['frames']} frames/s after the first frame "
             f"({speed['overall']} with compilation and refinement)"

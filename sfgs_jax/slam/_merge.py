@@ -71,7 +71,10 @@ def _check(a: SlamState, b: SlamState) -> None:
         raise InputError("The runs were made without loops, and only loops can tie their maps to each other.")
     both = min(len(a.graph.signatures), len(b.graph.signatures))
     if np.array_equal(a.graph.signatures[:both], b.graph.signatures[:both]):
-        raise InputError("One run is the other, or began in its map, so that both are in one world already.")
+        raise InputError(
+            "Both runs begin with the same keyframes: one is the other, or of the same images, or began in "
+            "its map. So both are in one world already."
+        )
 
 
 def _settled(state: SlamState) -> SlamState:

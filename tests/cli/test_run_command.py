@@ -541,6 +541,9 @@ def test_a_run_goes_on_in_the_map_of_another(tmp_path, capsys):
     assert len(poses) == len(truth) - lost
     expected = (np.linalg.inv(truth.poses[0]) @ truth.poses[lost:])[:, :3, 3]
     np.testing.assert_allclose(poses.positions, expected, atol=0.025)
+    log = (second / "run.log").read_text()
+    assert log.count("its place in the map is not confirmed yet") == lost
+    assert "WARNING" not in log
     before, after = (len(load_ply(folder / "map.ply").means) for folder in (first, second))
     assert after >= before
     assert json.loads((second / "config.json").read_text())["map"] == str(first)
@@ -549,6 +552,11 @@ def test_a_run_goes_on_in_the_map_of_another(tmp_path, capsys):
     assert "choose another folder" in capsys.readouterr().err
     assert run(source, tmp_path / "third", "--map", str(second)) == 2
     assert "--keep-map" in capsys.readouterr().err
+    # A run that has ended keeps its map, even if somebody resumes it.
+    assert run(source, first, "--no-evaluate", "--resume") == 0
+    assert (first / STORAGE).is_dir()
+    assert run(source, tmp_path / "nowhere", "--resume") == 2
+    assert "no run that could be resumed" in capsys.readouterr().err
     # Another camera is refused before anything is overwritten.
     other = "synthetic:frames=4,width=80,height=60"
     assert run(other, second, "--map", str(first), "--overwrite") == 2
