@@ -60,3 +60,38 @@ def test_points_without_rows_have_no_sweep(scene):
     points = gicp.prepare_points(rows, config=gicp.PointsConfig(levels=2, max_points=512, doublings=0))
     with pytest.raises(InputError, match="rows"):
         gicp.align(points, target, before, sweep=sweep_of(before), config=SETTINGS)
+
+
+def swing(delay, count=12, *, before_known=True):
+    """How far poses by the surface are off after some frames at rest, of which the first was 1 mm off."""
+    off, before, step = 1e-3, gicp.RowMotion(jnp.zeros(6), SensorTiming(), jnp.asarray(before_known)), 1 / 30
+    for _ in range(count):
+        sweep = gicp.Sweep(se3.exp(along_x(off)), jnp.asarray(step), SensorTiming(delay), before)
+        # The pose at which the surface, moved back by what it seems to have moved, lies where it is.
+        at_rest, at_one = (delay * float(sweep.at(se3.exp(along_x(x))).twist[0]) for x in (0.0, 1e-3))
+        found = -at_rest / (1 + (at_one - at_rest) / 1e-3)
+        twist = along_x((found - off) / step)
+        off, before = found, gicp.RowMotion(twist, SensorTiming(), jnp.asarray(before_known))
+    return abs(off)
+
+
+def along_x(metres):
+    return jnp.zeros(6).at[0].set(metres)
+
+
+@pytest.mark.parametrize("delay", [-0.016, -0.015, -0.01, 0.0, 0.015])
+def test_an_error_of_a_pose_dies_out_whichever_of_depth_and_colour_comes_first(delay):
+    assert swing(delay) < 1e-5
+
+
+def test_without_the_motion_before_it_would_swing():
+    assert swing(-0.015, before_known=False) > 5e-5
+
+
+def test_depth_that_is_hardly_early_takes_the_motion_to_the_pose_sought(scene):
+    _, _, before, truth = scene
+    other = gicp.RowMotion(jnp.ones(6), SensorTiming(), jnp.asarray(True))
+    for delay, same in ((0.012, True), (-0.01, True), (-0.015, False)):
+        alone = sweep_of(before, delay=delay)
+        both = gicp.Sweep(before, alone.seconds, alone.timing, other)
+        assert np.array_equal(both.at(truth).twist, alone.at(truth).twist) == same

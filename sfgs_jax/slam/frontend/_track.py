@@ -248,7 +248,11 @@ def _sweep(
     if not params.config.estimate_timing:
         return None
     seconds = jnp.where(jnp.asarray(known) & (tracker.lost_in_a_row == 0), tracker.since_tracked, 0)
-    return gicp.Sweep(T_target_before, seconds, estimated_timing(params, tracker)[0])
+    timing = estimated_timing(params, tracker)[0]
+    has_motion = tracker.has_motion & (tracker.motion_seconds > 0)
+    twist = se3.log(tracker.T_previous_current) / jnp.where(has_motion, tracker.motion_seconds, 1)
+    before = gicp.RowMotion(jnp.where(has_motion, twist, 0), timing, has_motion)
+    return gicp.Sweep(T_target_before, seconds, timing, before)
 
 
 @checked
