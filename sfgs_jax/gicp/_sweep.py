@@ -29,10 +29,9 @@ class RowMotion(eqx.Module):
 class Sweep(eqx.Module):
     """The same for a frame whose pose is sought: the motion from the frame before it, divided by the time.
 
-    Where depth comes far before colour, a part of the motion before is taken instead. There an error of one
-    pose would come back in the next with the other sign: a surface that is d seconds late lies d times the
-    speed off, so a pose by it is off by -k / (1 + k) of the pose before, with k = d / `seconds`. At d of half
-    a frame before colour that is the whole error, and poses swing ever more.
+    A surface whose depth is d seconds late lies d times the speed off. So a pose by it has -k / (1 + k) of the
+    error of the pose before, with k = d / `seconds`. At half a frame before colour that is the whole error
+    with the other sign, and poses would swing for ever. Beyond half of it, the motion before takes part.
 
     Attributes:
         T_target_before: pose of the frame before.
