@@ -29,9 +29,10 @@ class RowMotion(eqx.Module):
 class Sweep(eqx.Module):
     """The same for a frame whose pose is sought: the motion from the frame before it, divided by the time.
 
-    A surface whose depth is d seconds late lies d times the speed off. So a pose by it has -k / (1 + k) of the
-    error of the pose before, with k = d / `seconds`. At half a frame before colour that is the whole error
-    with the other sign, and poses would swing for ever. Beyond half of it, the motion before takes part.
+    A surface whose depth is d seconds late lies d times the speed off. So a pose by it has -k / (1 + k) of
+    the error of the pose before, with k = d / `seconds`. At half a frame before colour that is the whole
+    error with the other sign, and poses would swing for ever. Beyond a third of a frame the motion before
+    takes part, so that errors die out.
 
     Attributes:
         T_target_before: pose of the frame before.
