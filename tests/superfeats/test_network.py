@@ -72,11 +72,12 @@ def test_a_folded_network_acts_as_the_trained_one_on_the_statistics_it_has_seen(
     images = normalise(jnp.asarray(rng.random((4, 32, 32)), jnp.float32))
     step = jax.jit(lambda net: _with_statistics(net, images))
     dense, network = step(network)
-    for _ in range(999):  # the running statistics approach those of this batch
+    # The running statistics approach those of this batch; where its variance is small that takes longest.
+    for _ in range(1999):
         dense, network = step(network)
     folded = forward(fold(network), images)
     for trained, inferred in zip(jax.tree.leaves(dense), jax.tree.leaves(folded), strict=True):
-        np.testing.assert_allclose(inferred, trained, atol=2e-2 * float(jnp.abs(trained).max()))
+        np.testing.assert_allclose(inferred, trained, atol=4e-3 * float(jnp.abs(trained).max()))
 
 
 def _with_statistics(network, images):
