@@ -22,7 +22,7 @@ def failure_of(
         metrics: content of `metrics.json` of a run over all frames.
         source: the recording, as the command line named it.
         contradiction: why frames were not believed, as the run said it last; empty if it never did.
-        confirming: frames that are lost until a place of an earlier map is believed; they are no failure.
+        confirming: first frames that were lost until a place of an earlier map was believed; no failure.
     """
     frames = metrics["frames"]
     lost, offered = frames["lost"], frames["total"] - frames["dropped"]

@@ -190,7 +190,7 @@ def run_command(arguments: list[str], *, frames: FrameSource = prefetch) -> int:
     with locked_folder(folder, make=not options.resume):
         if options.resume:
             resume_folder(folder)
-            # What a run has kept for another day stays.
+            # A map that was kept for another day stays.
             options = dataclasses.replace(options, keep_map=options.keep_map or _has_ended(folder))
         else:
             prepare_folder(folder, overwrite=options.overwrite)
@@ -381,7 +381,8 @@ def _closed(options: RunOptions, out: ResultFolder, result: Run, written: Path, 
         print(summary(metrics, written))
     if warning := scale_warning(result.trajectory, recording):
         logger.warning("%s", warning)
-    confirming = result.config.graph.relocalisation_frames - 1 if out.config.map else 0
+    first = int(result.state.log.numbers[0])
+    confirming = min(first, result.config.graph.relocalisation_frames - 1) if out.config.map else 0
     if problem := failure_of(metrics, out.config.source, contradiction, confirming=confirming):
         logger.error("%s", problem)
     return 1 if problem is not None or written != folder else 0

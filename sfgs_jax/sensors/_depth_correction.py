@@ -39,7 +39,7 @@ class DepthCorrection(eqx.Module):
         return jnp.concatenate([offsets, jnp.zeros(6, offsets.dtype) if extrinsic is None else extrinsic])
 
     def on_host(self) -> Float[np.ndarray, " G"]:
-        """As `vector`, fetched without running a program."""
+        """The same numbers as `vector`, fetched without running a program."""
         extrinsic = np.zeros(6) if self.extrinsic is None else np.asarray(self.extrinsic)
         return np.concatenate([np.asarray(self.offsets).reshape(-1), extrinsic])
 
