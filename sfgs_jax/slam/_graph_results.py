@@ -39,7 +39,7 @@ def finish(state: SlamState) -> SlamState:
     if times is not None and bool(state.tracker.last_motion.known):
         graph = rectified_anew(state.params, state.graph, times, config, deviations=1.0)
         state = replace(state, graph=graph)
-    while state.graph.pending or state.graph.again:
+    while state.graph.has_waiting:
         graph, _ = advance_graph(state.params, state.graph, config, grown=False)
         state = with_graph(state, graph)
     state = with_graph(state, settled(state.params, state.graph, config))

@@ -54,7 +54,7 @@ def test_an_edge_knows_where_the_surface_alone_is_at_rest(config, rng):
             found.matched, T_target_source=at[1], information=jnp.asarray(by_keypoints, jnp.float32)
         ),
     )
-    edge = edge_of(0, 1, found, config.graph)
+    edge = edge_of(0, 1, found, config.graph, np.zeros(0))
     off = se3.log(se3.compose(se3.inverse(surface_optimum), jaxlie.SE3(jnp.asarray(edge.surface_motion))))
     assert np.linalg.norm(joint) > 5e-4
     assert np.linalg.norm(off) < 0.1 * np.linalg.norm(joint)
@@ -70,7 +70,7 @@ def test_a_direction_that_the_surface_leaves_free_stays_as_it_was_found(config):
         surface_information=jnp.asarray(wall, jnp.float32),
         matched=replace(found.matched, T_target_source=shifted, information=1e6 * jnp.eye(6)),
     )
-    motion = edge_of(0, 1, found, config.graph).surface_motion
+    motion = edge_of(0, 1, found, config.graph, np.zeros(0)).surface_motion
     np.testing.assert_allclose(motion[4:], [0, 0, -0.001], atol=2e-5)
 
 

@@ -9,7 +9,7 @@ import pytest
 from short_runs import run_of_five_keyframes
 
 from sfgs_jax import slam
-from sfgs_jax.slam.keyframes import Registrations, advance_graph, registered_pairs
+from sfgs_jax.slam.keyframes import Registrations, advance_graph, rectified_anew, registered_pairs
 from sfgs_jax.slam.state import KeyframeGraph
 
 
@@ -24,7 +24,7 @@ def waiting(run):
     pairs = [(edge.target, edge.source) for edge in run.graph.edges]
     first = pairs[0]
     second = next(pair for pair in pairs if first[1] not in pair)
-    return replace(run.graph, pending=(first,), again=(second,))
+    return replace(run.graph, tracked=(), pending=(first,), again=(second,))
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +117,27 @@ def test_a_pair_whose_features_changed_meanwhile_keeps_its_place(run, waiting, b
     assert after.again == ()
     after, _ = advance_graph(run.params, after, both, grown=False)
     assert after.pending == ()
+
+
+def test_the_frame_after_a_keyframe_hears_what_it_was_tracked_by(run, config):
+    (tracked,) = run.graph.tracked
+    before = run.graph.edges
+    (number,) = [i for i, e in enumerate(before) if (e.target, e.source) == (tracked.target, tracked.source)]
+    assert not before[number].told
+    after, _ = advance_graph(run.params, replace(run.graph, pending=(), again=()), config.graph, grown=False)
+    assert after.tracked == ()
+    assert [edge.told for edge in after.edges] == [edge.told or i == number for i, edge in enumerate(before)]
+    np.testing.assert_array_equal(after.edges[number].T_target_source, before[number].T_target_source)
+    assert after.focal.information > run.graph.focal.information
+
+
+def test_a_keyframe_that_is_registered_anew_is_not_heard_before(run, config):
+    (tracked,) = run.graph.tracked
+    times = np.full(3, 0.5, np.float32)
+    keyframes = tuple(replace(k, twist=np.ones(6, np.float32)) for k in run.graph.keyframes)
+    after = rectified_anew(run.params, replace(run.graph, keyframes=keyframes), times, config.graph)
+    assert (tracked.target, tracked.source) in after.again
+    assert after.tracked == ()
 
 
 def test_two_maps_that_became_one_are_registered_by_their_poses(run, waiting, both):

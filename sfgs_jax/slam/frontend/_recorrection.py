@@ -27,6 +27,18 @@ def depth_parameters_in_use(params: TrackerParams) -> Float[np.ndarray, " G"]:
     return np.zeros(0) if correction is None else correction.on_host().astype(np.float64)
 
 
+def params_of(params: TrackerParams, keyframe: Keyframe) -> TrackerParams:
+    """Parameters with the correction of depth that a keyframe's features have.
+
+    Args:
+        params: parameters of tracking.
+        keyframe: with the correction of its time.
+    """
+    if params.depth_correction is None or not _change(params, keyframe).any():
+        return params
+    return replace(params, depth_correction=_grid(params, keyframe.depth_parameters))
+
+
 def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:
     """Features of a keyframe with the correction of new frames.
 
@@ -34,12 +46,17 @@ def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:
         params: parameters of tracking.
         keyframe: with the correction of its time.
     """
-    change = depth_parameters_in_use(params) - keyframe.depth_parameters
+    change = _change(params, keyframe)
     return (
         recorrected(keyframe.features, params.camera, _grid(params, change))
         if change.any()
         else keyframe.features
     )
+
+
+def _change(params: TrackerParams, keyframe: Keyframe) -> Float[np.ndarray, " G"]:
+    """Parameters of the correction of new frames, less those of a keyframe's features."""
+    return depth_parameters_in_use(params) - keyframe.depth_parameters
 
 
 def with_depth_parameters(

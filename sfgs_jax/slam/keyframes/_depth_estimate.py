@@ -46,15 +46,10 @@ def with_registration(
         config: settings.
         told: whether the registration is believed, and the estimates may hear it.
     """
-    edge, depth = edge_of(target, source, found, config), equations.depth
-    in_use = depth_parameters_in_use(params)
+    in_use, depth = depth_parameters_in_use(params), equations.depth
+    edge = edge_of(target, source, found, config, in_use)
     if depth is not None:
-        edge = replace(
-            edge,
-            depth_parameters=in_use,
-            sensitivity=depth.sensitivity,
-            surface_sensitivity=depth.surface_sensitivity,
-        )
+        edge = replace(edge, sensitivity=depth.sensitivity, surface_sensitivity=depth.surface_sensitivity)
     told &= int(found.source) in (PoseSource.JOINT, PoseSource.SURFACE)
     # Rows that lie where they don't belong look like a camera that does not.
     told &= not params.config.estimate_extrinsic or rows_known(graph, (target, source), config)

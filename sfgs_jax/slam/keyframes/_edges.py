@@ -33,15 +33,23 @@ def prior_noise(config: GraphConfig) -> EdgeNoise:
     return EdgeNoise(np.diag(np.repeat([config.edge_sigma_metres, config.edge_sigma_radians], 3) ** 2), 1.0)
 
 
-def edge_of(target: int, source: int, found: Registration, config: GraphConfig) -> Edge:
-    """A registration as an edge of the graph; depth is not corrected.
+def edge_of(
+    target: int,
+    source: int,
+    found: Registration,
+    config: GraphConfig,
+    depth_parameters: Float[np.ndarray, " G"],
+) -> Edge:
+    """A registration as an edge of the graph, which does not yet know how errors of depth change it.
 
     Args:
         target: number of the keyframe registered to.
         source: number of the keyframe registered.
         found: the registration.
         config: settings.
+        depth_parameters: (G,) of the depth correction that it was found with; none if depth is not corrected.
     """
+    unknown = np.zeros((6, len(depth_parameters)))
     return Edge(
         target=target,
         source=source,
@@ -51,9 +59,9 @@ def edge_of(target: int, source: int, found: Registration, config: GraphConfig) 
         surface_information=np.asarray(found.surface_information),
         revisit=source - target > config.loop_gap,
         loop=False,
-        depth_parameters=np.zeros(0),
-        sensitivity=np.zeros((6, 0)),
-        surface_sensitivity=np.zeros((6, 0)),
+        depth_parameters=depth_parameters,
+        sensitivity=unknown,
+        surface_sensitivity=unknown,
     )
 
 

@@ -50,6 +50,9 @@ def advance_graph(
     for pair in registered_pairs(params, graph, config) if registered is None else registered:
         # One that does not hold any more keeps its place.
         if pair.holds(graph):
+            if pair.by_tracking:
+                graph = _with_heard(graph, pair, config)
+                continue
             graph, closed_now = _with_registered(_without_waiting(graph, pair), pair, config)
             closed |= closed_now
     done = not graph.pending and (waited or grown or (waited_again and not graph.again))
@@ -73,6 +76,17 @@ def _optimised(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig)
     off = len(graph.keyframes) > config.window and is_contradicted(graph)
     graph = with_adjustment_begun(params, graph, config, bent=off or any(edge.loop for edge in new))
     return replace(graph, num_absorbed=len(graph.edges))
+
+
+def _with_heard(graph: KeyframeGraph, pair: RegisteredPair, config: GraphConfig) -> KeyframeGraph:
+    """The graph after the estimates of the camera have heard the edge that a keyframe was tracked by."""
+    target, source = ends = pair.target, pair.source
+    graph, edge = with_registration(pair.params, graph, target, source, pair.equations, pair.found, config)
+    return replace(
+        graph,
+        edges=tuple(edge if (e.target, e.source) == ends else e for e in graph.edges),
+        tracked=tuple(p for p in graph.tracked if (p.target, p.source) != ends),
+    )
 
 
 def _without_waiting(graph: KeyframeGraph, pair: RegisteredPair) -> KeyframeGraph:

@@ -11,15 +11,14 @@ from jaxtyping import Bool, Float
 from sfgs_jax.arrays import appended
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend import Found, depth_parameters_in_use, estimated_timing, features_in_use
+from sfgs_jax.slam.frontend import Found, depth_parameters_in_use, estimated_timing
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
-from sfgs_jax.slam.keyframes._depth_estimate import with_registration
+from sfgs_jax.slam.keyframes._edges import edge_of
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
-from sfgs_jax.slam.keyframes._pair_equations import pair_equations
 from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew, with_first_motion
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
+from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph, TrackedPair
 from sfgs_jax.slam.state._maps import maps_of
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at
@@ -118,6 +117,8 @@ def insert_keyframe(
 ) -> KeyframeGraph:
     """The graph with a frame as a keyframe, tied to its reference and waiting to be tied to others.
 
+    What the registration says about the camera takes longer to work out than the rest, so that waits too.
+
     Args:
         params: parameters of tracking.
         graph: before.
@@ -137,13 +138,15 @@ def insert_keyframe(
     if not config.enabled:
         return graph
     graph = share_landmarks(graph, reference, source, found)
-    fixed = features_in_use(params, graph.keyframes[reference])
-    equations = pair_equations(params, new.features, fixed, found)
-    graph, edge = with_registration(params, graph, reference, source, equations, found, config)
+    edge = edge_of(reference, source, found, config, depth_parameters_in_use(params))
     graph = replace(graph, edges=(*graph.edges, edge))
     near = neighbours(graph, config)
     far = tuple(pair for pair in loop_pairs(graph, config) if pair not in near and pair[0] != reference)
-    return replace(graph, pending=(*graph.pending, *near, *far))
+    return replace(
+        graph,
+        tracked=(*graph.tracked, TrackedPair(reference, source, found)),
+        pending=(*graph.pending, *near, *far),
+    )
 
 
 def _with_keyframe(

@@ -7,7 +7,7 @@ import numpy as np
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._insertion import seen_from
-from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph, Landmarks
+from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph, Landmarks, TrackedPair
 from sfgs_jax.slam.state._maps import maps_of, next_origin
 
 Pairs = tuple[tuple[int, int], ...]
@@ -29,6 +29,7 @@ def joined_graphs(graph: KeyframeGraph, other: KeyframeGraph, shift: int) -> Key
     poses[:, 4] += next_origin(graph)
     after = tuple(_renumbered(keyframe, first, placed, shift) for keyframe in other.keyframes)
     edges = tuple(replace(e, target=e.target + first, source=e.source + first) for e in other.edges)
+    tracked = (TrackedPair(p.target + first, p.source + first, p.found) for p in other.tracked)
     # The edges that the poses hold already come first.
     absorbed = (*graph.edges[: graph.num_absorbed], *edges[: other.num_absorbed])
     new = (*graph.edges[graph.num_absorbed :], *edges[other.num_absorbed :])
@@ -41,6 +42,7 @@ def joined_graphs(graph: KeyframeGraph, other: KeyframeGraph, shift: int) -> Key
         signatures=np.concatenate([graph.signatures, other.signatures]),
         edges=absorbed + new,
         num_absorbed=len(absorbed),
+        tracked=(*graph.tracked, *tracked),
         pending=(*graph.pending, *((a + first, b + first) for a, b in other.pending)),
         again=(*graph.again, *((a + first, b + first) for a, b in other.again)),
         candidates=(),

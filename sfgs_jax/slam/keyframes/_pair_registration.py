@@ -12,11 +12,11 @@ from jaxtyping import Float
 from sfgs_jax.arrays import PATIENCE
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend import features_in_use
+from sfgs_jax.slam.frontend import features_in_use, params_of
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.keyframes._pair_equations import PairEquations, pair_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
+from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph, TrackedPair
 from sfgs_jax.slam.state._maps import maps_of
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -35,6 +35,7 @@ class RegisteredPair:
         source: number of the keyframe registered.
         kept: features of both as the graph had them.
         are_apart: whether they were in two maps, so that nobody knew where they lie to each other.
+        by_tracking: whether tracking registered it, so that the graph has its edge.
         found: the registration.
         equations: of what is the same for all frames.
     """
@@ -44,6 +45,7 @@ class RegisteredPair:
     source: int
     kept: tuple[FrameFeatures, FrameFeatures]
     are_apart: bool
+    by_tracking: bool
     found: Registration
     equations: PairEquations
 
@@ -105,7 +107,7 @@ class Registrations:
             config: settings.
         """
         self._frame_came.clear()
-        if self._begun is None and (graph.pending or graph.again):
+        if self._begun is None and graph.has_waiting:
             self._begun = _beside.submit(self._one_while_idle, params, graph, config)
 
     def frame_came(self) -> None:
@@ -117,6 +119,8 @@ class Registrations:
     ) -> tuple[RegisteredPair, ...]:
         if self._frame_came.wait(self._patience):
             return ()
+        if graph.tracked:
+            return _tracked_pairs(params, graph)[:1]
         return _registered_all(params, graph, (*graph.pending, *graph.again)[:1])
 
     def take(self) -> tuple[RegisteredPair, ...] | None:
@@ -135,7 +139,8 @@ def registered_pairs(
 ) -> tuple[RegisteredPair, ...]:
     """The waiting pairs whose turn it is after a frame, registered from where the graph has them.
 
-    A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster.
+    A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster. Those that
+    tracking registered come first, all of them.
 
     Args:
         params: parameters of tracking.
@@ -144,7 +149,29 @@ def registered_pairs(
     """
     waiting = (*graph.pending, *graph.again)
     turn = waiting[: max(config.registrations_per_frame, len(waiting) // config.backlog)]
-    return _registered_all(params, graph, turn)
+    return _tracked_pairs(params, graph) + _registered_all(params, graph, turn)
+
+
+def _tracked_pairs(params: TrackerParams, graph: KeyframeGraph) -> tuple[RegisteredPair, ...]:
+    return tuple(_tracked_pair(params, graph, pair) for pair in graph.tracked)
+
+
+def _tracked_pair(params: TrackerParams, graph: KeyframeGraph, pair: TrackedPair) -> RegisteredPair:
+    """A pair that tracking registered, with the correction of depth that its newer frame had then."""
+    target, source = graph.keyframes[pair.target], graph.keyframes[pair.source]
+    params = params_of(params, source)
+    kept = target.features, source.features
+    equations = pair_equations(params, source.features, features_in_use(params, target), pair.found)
+    return RegisteredPair(
+        params,
+        pair.target,
+        pair.source,
+        kept,
+        are_apart=False,
+        by_tracking=True,
+        found=pair.found,
+        equations=equations,
+    )
 
 
 def _registered_all(
@@ -162,7 +189,8 @@ def _registered(
     guess = se3.identity() if are_apart else _by_poses(graph, pair)
     found = register(params, moving, fixed, guess, guess_known=not are_apart)
     equations = pair_equations(params, moving, fixed, found)
-    return RegisteredPair(params, *pair, (target.features, source.features), are_apart, found, equations)
+    kept = target.features, source.features
+    return RegisteredPair(params, *pair, kept, are_apart, by_tracking=False, found=found, equations=equations)
 
 
 def _by_poses(graph: KeyframeGraph, pair: tuple[int, int]) -> jaxlie.SE3:

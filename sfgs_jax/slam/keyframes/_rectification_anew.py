@@ -82,7 +82,8 @@ def rectified_anew(
         if not edge.loop and (edge.target in stale or edge.source in stale)
     ]
     waiting = tuple(pair for pair in graph.again if pair not in again)
-    return replace(graph, keyframes=tuple(keyframes), again=(*waiting, *again))
+    tracked = tuple(pair for pair in graph.tracked if (pair.target, pair.source) not in again)
+    return replace(graph, keyframes=tuple(keyframes), tracked=tracked, again=(*waiting, *again))
 
 
 def _surprises(

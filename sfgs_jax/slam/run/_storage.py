@@ -31,12 +31,13 @@ from sfgs_jax.slam.state import (
     PendingAdjustment,
     SlamState,
     Submap,
+    TrackedPair,
     View,
     empty_map,
 )
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 24
+FORMAT_VERSION = 25
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 
@@ -68,6 +69,7 @@ def save(state: SlamState, folder: Path | str, **facts: int) -> None:
     counts = {
         "keyframes": len(state.graph.keyframes),
         "edges": len(state.graph.edges),
+        "tracked": len(state.graph.tracked),
         "pending": len(state.graph.pending),
         "again": len(state.graph.again),
         "candidates": len(state.graph.candidates),
@@ -327,6 +329,7 @@ def _template(metadata: dict[str, str], config: SlamConfig) -> SlamState:
         state.graph,
         keyframes=(keyframe,) * counts["keyframes"],
         edges=(edge,) * counts["edges"],
+        tracked=(TrackedPair(0, 0, state.tracker.last_registration),) * counts["tracked"],
         pending=((0, 0),) * counts["pending"],
         again=((0, 0),) * counts["again"],
         candidates=(edge,) * counts["candidates"],

@@ -22,6 +22,7 @@ from sfgs_jax.slam.state._keyframe_graph import Keyframe as Keyframe
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph as KeyframeGraph
 from sfgs_jax.slam.state._keyframe_graph import Landmarks as Landmarks
 from sfgs_jax.slam.state._keyframe_graph import PendingAdjustment as PendingAdjustment
+from sfgs_jax.slam.state._keyframe_graph import TrackedPair as TrackedPair
 from sfgs_jax.slam.state._keyframe_graph import empty_graph as empty_graph
 from sfgs_jax.slam.state._map_state import MapState as MapState
 from sfgs_jax.slam.state._map_state import View as View

@@ -13,6 +13,7 @@ from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
 from sfgs_jax.slam.state._depth_information import DepthInformation, no_depth_information
 from sfgs_jax.slam.state._focal_information import FocalInformation
 from sfgs_jax.slam.state._frame_features import FrameFeatures
+from sfgs_jax.slam.state._registration import Registration
 
 
 @pytree
@@ -79,6 +80,22 @@ class Edge:
     sensitivity: Float[np.ndarray, "6 G"]
     surface_sensitivity: Float[np.ndarray, "6 G"]
     told: bool = False
+
+
+@pytree
+@dataclass(frozen=True, eq=False)
+class TrackedPair:
+    """A keyframe with the one it was tracked in, whose edge the estimates of the camera are still to hear.
+
+    Attributes:
+        target: number of the keyframe that it was tracked in.
+        source: number of the keyframe.
+        found: the registration that it was tracked by.
+    """
+
+    target: int
+    source: int
+    found: Registration
 
 
 @pytree
@@ -194,6 +211,7 @@ class KeyframeGraph:
         edges: registrations that were accepted, in their order.
         noise: of the edges.
         num_absorbed: how many of them the poses hold already.
+        tracked: newest keyframes with those they were tracked in; nothing but their equations is wanted.
         pending: pairs (target, source) still to be registered, the next one first.
         again: pairs with an edge that are to be registered anew once none is pending: their rows have moved.
         candidates: registrations that may be loops, and wait for others that agree.
@@ -213,6 +231,7 @@ class KeyframeGraph:
     edges: tuple[Edge, ...]
     noise: EdgeNoise
     num_absorbed: int
+    tracked: tuple[TrackedPair, ...]
     pending: tuple[tuple[int, int], ...]
     again: tuple[tuple[int, int], ...]
     candidates: tuple[Edge, ...]
@@ -236,6 +255,11 @@ class KeyframeGraph:
     def loops(self) -> tuple[Edge, ...]:
         """Edges that tie a place seen again to the keyframes from before."""
         return tuple(edge for edge in self.edges if edge.revisit)
+
+    @property
+    def has_waiting(self) -> bool:
+        """True if a pair waits to be registered, or for its equations."""
+        return bool(self.tracked or self.pending or self.again)
 
     def pose(self, number: int) -> jaxlie.SE3:
         """`T_world_cam` of a keyframe.
@@ -264,6 +288,7 @@ def empty_graph(
         edges=(),
         noise=noise,
         num_absorbed=0,
+        tracked=(),
         pending=(),
         again=(),
         candidates=(),
