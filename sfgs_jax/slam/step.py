@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sfgs_jax.arrays import checked_but
-from sfgs_jax.geometry import Frame, se3, warn_unless_metres, warn_unless_unit_colours
+from sfgs_jax.geometry import Frame, warn_unless_metres, warn_unless_unit_colours
 from sfgs_jax.slam._frame_brightness import look_of
 from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._frame_pose import find_pose
@@ -116,7 +116,8 @@ def follow(
         state = with_graph(state, graph)
     keyframe, T_keyframe_cam = int(found.info.reference), found.info.T_reference_cam
     if info.new_keyframe:
-        keyframe, T_keyframe_cam = len(graph.keyframes) - 1, se3.identity()
+        # The tracker's identity is there already. A new one would wait for what the device computes.
+        keyframe, T_keyframe_cam = len(graph.keyframes) - 1, found.tracker.T_reference_cam
         covariance = np.zeros((6, 6))
     look, brighter = look_of(state, frame, keyframe, T_keyframe_cam)
     log = state.log.with_frame(time, number, keyframe, T_keyframe_cam, covariance, brighter)

@@ -1,5 +1,6 @@
 """The tracker: parameters and state of `track`, pytrees of fixed shapes."""
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -261,4 +262,4 @@ def with_graph_poses(tracker: Tracker, graph: KeyframeGraph) -> Tracker:
     keyframes = np.asarray(tracker.reference_keyframes)
     filled = keyframes >= 0
     poses = np.where(filled[:, None], graph.poses[np.maximum(keyframes, 0)], tracker.reference_poses)
-    return eqx.tree_at(lambda t: t.reference_poses, tracker, jax.device_put(poses))
+    return replace(tracker, reference_poses=jax.device_put(poses))
