@@ -117,7 +117,7 @@ def insert_keyframe(
 ) -> KeyframeGraph:
     """The graph with a frame as a keyframe, tied to its reference and waiting to be tied to others.
 
-    What the registration says about the camera takes longer to work out than the rest, so that waits too.
+    The equations of the camera by that registration wait too: they take longer than the rest of it.
 
     Args:
         params: parameters of tracking.

@@ -139,8 +139,8 @@ def registered_pairs(
 ) -> tuple[RegisteredPair, ...]:
     """The waiting pairs whose turn it is after a frame, registered from where the graph has them.
 
-    A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster. Those that
-    tracking registered come first, all of them.
+    A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster. All
+    that tracking registered come first.
 
     Args:
         params: parameters of tracking.
