@@ -9,13 +9,11 @@ from jaxtyping import Float
 from sfgs_jax.arrays import checked
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
-from sfgs_jax.slam.frontend import depth_parameters_in_use
-from sfgs_jax.slam.keyframes._edges import edge_of
-from sfgs_jax.slam.keyframes._pair_equations import PairEquations
+from sfgs_jax.slam.keyframes._pair_registration import RegisteredPair
 from sfgs_jax.slam.keyframes._rectification_anew import rows_known
 from sfgs_jax.slam.state._depth_information import DepthPrior, depth_prior, with_extrinsic
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
-from sfgs_jax.slam.state._registration import PoseSource, Registration
+from sfgs_jax.slam.state._registration import PoseSource
 from sfgs_jax.slam.state._slam_state import SlamState
 from sfgs_jax.slam.state._tracker import TrackerParams
 
@@ -23,44 +21,29 @@ _KNOWN = 1e-6
 """Deviation of an extrinsic that is not estimated, metres and radians."""
 
 
-def with_registration(
-    params: TrackerParams,
-    graph: KeyframeGraph,
-    target: int,
-    source: int,
-    equations: PairEquations,
-    found: Registration,
-    config: GraphConfig,
-    *,
-    told: bool = True,
+def with_edge_heard(
+    graph: KeyframeGraph, pair: RegisteredPair, config: GraphConfig
 ) -> tuple[KeyframeGraph, Edge]:
-    """The graph that has heard what a registration says about the camera, and the registration as an edge.
+    """The graph that has heard what an edge says about the camera, and the edge.
 
     Args:
-        params: parameters of tracking.
         graph: before; it does not get the edge.
-        target: number of the keyframe registered to.
-        source: number of the keyframe registered.
-        equations: of the registration.
-        found: the registration, with the correction of depth of `params`.
+        pair: the registration, which is believed.
         config: settings.
-        told: whether the registration is believed, and the estimates may hear it.
     """
-    in_use, depth = depth_parameters_in_use(params), equations.depth
-    edge = edge_of(target, source, found, config, in_use)
-    if depth is not None:
-        edge = replace(edge, sensitivity=depth.sensitivity, surface_sensitivity=depth.surface_sensitivity)
-    told &= int(found.source) in (PoseSource.JOINT, PoseSource.SURFACE)
+    tracking, edge, depth = pair.params.config, pair.edge, pair.equations.depth
+    told = int(pair.found.source) in (PoseSource.JOINT, PoseSource.SURFACE)
     # Rows that lie where they don't belong look like a camera that does not.
-    told &= not params.config.estimate_extrinsic or rows_known(graph, (target, source), config)
+    told &= not tracking.estimate_extrinsic or rows_known(graph, (edge.target, edge.source), config)
     if not told:
         return graph, edge
     # Pairs of the same images say the same, as edges do.
     share = 1 / graph.noise.redundancy
-    graph = replace(graph, focal=graph.focal.joined(equations.focal.of_which(share)))
+    graph = replace(graph, focal=graph.focal.joined(pair.equations.focal.of_which(share)))
     if depth is not None:
         told_of = share * depth.information, share * depth.vector
-        graph = replace(graph, depth=graph.depth.plus(*told_of, in_use, prior_of(params.config)))
+        total = graph.depth.plus(*told_of, edge.depth_parameters, prior_of(tracking))
+        graph = replace(graph, depth=total)
     return graph, replace(edge, told=True)
 
 

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from sfgs_jax.factor_graph import RelativePose
 from sfgs_jax.geometry import Kernel, se3
 from sfgs_jax.slam.config import GraphConfig
+from sfgs_jax.slam.keyframes._depth_equations import DepthEquations
 from sfgs_jax.slam.state._keyframe_graph import Edge, EdgeNoise
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 
@@ -39,8 +40,9 @@ def edge_of(
     found: Registration,
     config: GraphConfig,
     depth_parameters: Float[np.ndarray, " G"],
+    depth: DepthEquations | None = None,
 ) -> Edge:
-    """A registration as an edge of the graph, which does not yet know how errors of depth change it.
+    """A registration as an edge of the graph.
 
     Args:
         target: number of the keyframe registered to.
@@ -48,6 +50,7 @@ def edge_of(
         found: the registration.
         config: settings.
         depth_parameters: (G,) of the depth correction that it was found with; none if depth is not corrected.
+        depth: equations of the errors of depth, which say how the motion changes with them; None if unknown.
     """
     unknown = np.zeros((6, len(depth_parameters)))
     return Edge(
@@ -60,8 +63,8 @@ def edge_of(
         revisit=source - target > config.loop_gap,
         loop=False,
         depth_parameters=depth_parameters,
-        sensitivity=unknown,
-        surface_sensitivity=unknown,
+        sensitivity=unknown if depth is None else depth.sensitivity,
+        surface_sensitivity=unknown if depth is None else depth.surface_sensitivity,
     )
 
 

@@ -8,7 +8,7 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend._pose_source import supports_edge, supports_loop
 from sfgs_jax.slam.keyframes._adjustment import has_landmarks
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_begun, with_frame_passed
-from sfgs_jax.slam.keyframes._depth_estimate import with_new_depth_parameters, with_registration
+from sfgs_jax.slam.keyframes._depth_estimate import with_edge_heard, with_new_depth_parameters
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import accept_consistent_loops, likely_drift, with_candidate
@@ -80,8 +80,8 @@ def _optimised(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig)
 
 def _with_heard(graph: KeyframeGraph, pair: RegisteredPair, config: GraphConfig) -> KeyframeGraph:
     """The graph after the estimates of the camera have heard the edge that a keyframe was tracked by."""
-    target, source = ends = pair.target, pair.source
-    graph, edge = with_registration(pair.params, graph, target, source, pair.equations, pair.found, config)
+    ends = pair.target, pair.source
+    graph, edge = with_edge_heard(graph, pair, config)
     return replace(
         graph,
         edges=tuple(edge if (e.target, e.source) == ends else e for e in graph.edges),
@@ -102,25 +102,21 @@ def _with_registered(
     """The graph with what the registration of a pair says, and whether that closed a loop."""
     if pair.are_apart:
         return with_bridge_tried(graph, pair, config)
-    params, equations, found = pair.params, pair.equations, pair.found
-    target, source = pair.target, pair.source
+    found, target, source = pair.found, pair.target, pair.source
     off = disagreement(graph, pair)
     correction = float(max(np.linalg.norm(off[:3]), np.linalg.norm(off[3:])))
-    with_keypoints = params.config.features.kind != "none"
+    with_keypoints = pair.params.config.features.kind != "none"
     if supports_edge(found, correction, config, with_keypoints=with_keypoints):
         graph = share_landmarks(graph, target, source, found)
         told, graph = _without_edge(graph, target, source)
-        graph, edge = with_registration(
-            params, graph, target, source, equations, found, config, told=not told
-        )
-        edge = replace(edge, told=edge.told or told)
+        if told:
+            edge = replace(pair.edge, told=True)
+        else:
+            graph, edge = with_edge_heard(graph, pair, config)
         return replace(graph, edges=(*graph.edges, edge)), False
     may_be_loop = config.loops and source - target > config.loop_gap
     if may_be_loop and supports_loop(found, off, likely_drift(graph, target, source, config), config):
-        graph, candidate = with_registration(
-            params, graph, target, source, equations, found, config, told=False
-        )
-        return accept_consistent_loops(with_candidate(graph, candidate, config), config)
+        return accept_consistent_loops(with_candidate(graph, pair.edge, config), config)
     return graph, False
 
 

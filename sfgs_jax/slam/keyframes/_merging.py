@@ -10,7 +10,6 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import confirms_loop
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_taken
-from sfgs_jax.slam.keyframes._depth_estimate import with_registration
 from sfgs_jax.slam.keyframes._edges import motions_of
 from sfgs_jax.slam.keyframes._loops import agreeing, with_candidate
 from sfgs_jax.slam.keyframes._pair_registration import RegisteredPair
@@ -31,15 +30,11 @@ def with_bridge_tried(
         pair: the keyframes, one of each map, registered.
         config: settings.
     """
-    target, source, found = pair.target, pair.source, pair.found
-    if not confirms_loop(found, config):
+    if not confirms_loop(pair.found, config):
         return graph, False
-    graph, candidate = with_registration(
-        pair.params, graph, target, source, pair.equations, found, config, told=False
-    )
-    graph = with_candidate(graph, candidate, config)
+    graph = with_candidate(graph, pair.edge, config)
     maps = maps_of(graph)
-    ends = {int(maps[target]), int(maps[source])}
+    ends = {int(maps[pair.target]), int(maps[pair.source])}
     between = [c for c in graph.candidates if {int(maps[c.target]), int(maps[c.source])} == ends]
     bridges = agreeing(graph, between, config, least=config.map_support)
     if not bridges:

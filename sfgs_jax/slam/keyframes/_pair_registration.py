@@ -1,6 +1,5 @@
 """Registration of waiting pairs of keyframes, in a thread beside the tracker or at once."""
 
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Event
@@ -12,11 +11,12 @@ from jaxtyping import Float
 from sfgs_jax.arrays import PATIENCE
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend import features_in_use, params_of
+from sfgs_jax.slam.frontend import depth_parameters_in_use, features_in_use, params_of
 from sfgs_jax.slam.frontend._joint_registration import register
+from sfgs_jax.slam.keyframes._edges import edge_of
 from sfgs_jax.slam.keyframes._pair_equations import PairEquations, pair_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph, TrackedPair
+from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph, TrackedPair
 from sfgs_jax.slam.state._maps import maps_of
 from sfgs_jax.slam.state._registration import Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -38,6 +38,7 @@ class RegisteredPair:
         by_tracking: whether tracking registered it, so that the graph has its edge.
         found: the registration.
         equations: of what is the same for all frames.
+        edge: what the graph gets if it believes the registration; the estimates have not heard it yet.
     """
 
     params: TrackerParams
@@ -48,6 +49,7 @@ class RegisteredPair:
     by_tracking: bool
     found: Registration
     equations: PairEquations
+    edge: Edge
 
     def holds(self, graph: KeyframeGraph) -> bool:
         """True if a later graph has both keyframes as they were registered.
@@ -120,8 +122,8 @@ class Registrations:
         if self._frame_came.wait(self._patience):
             return ()
         if graph.tracked:
-            return _tracked_pairs(params, graph)[:1]
-        return _registered_all(params, graph, (*graph.pending, *graph.again)[:1])
+            return (_tracked(params, graph, graph.tracked[0], config),)
+        return tuple(_registered(params, graph, pair, config) for pair in (*graph.pending, *graph.again)[:1])
 
     def take(self) -> tuple[RegisteredPair, ...] | None:
         """Pairs that a frame's graph is to take; None if a frame is to register them itself."""
@@ -139,8 +141,8 @@ def registered_pairs(
 ) -> tuple[RegisteredPair, ...]:
     """The waiting pairs whose turn it is after a frame, registered from where the graph has them.
 
-    A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster. All
-    that tracking registered come first.
+    A keyframe brings some ten pairs, and the next may come soon: a backlog is worked off faster. All that
+    tracking registered come first.
 
     Args:
         params: parameters of tracking.
@@ -149,48 +151,45 @@ def registered_pairs(
     """
     waiting = (*graph.pending, *graph.again)
     turn = waiting[: max(config.registrations_per_frame, len(waiting) // config.backlog)]
-    return _tracked_pairs(params, graph) + _registered_all(params, graph, turn)
+    tracked = [_tracked(params, graph, pair, config) for pair in graph.tracked]
+    return (*tracked, *(_registered(params, graph, pair, config) for pair in turn))
 
 
-def _tracked_pairs(params: TrackerParams, graph: KeyframeGraph) -> tuple[RegisteredPair, ...]:
-    return tuple(_tracked_pair(params, graph, pair) for pair in graph.tracked)
-
-
-def _tracked_pair(params: TrackerParams, graph: KeyframeGraph, pair: TrackedPair) -> RegisteredPair:
+def _tracked(
+    params: TrackerParams, graph: KeyframeGraph, pair: TrackedPair, config: GraphConfig
+) -> RegisteredPair:
     """A pair that tracking registered, with the correction of depth that its newer frame had then."""
-    target, source = graph.keyframes[pair.target], graph.keyframes[pair.source]
-    params = params_of(params, source)
-    kept = target.features, source.features
-    equations = pair_equations(params, source.features, features_in_use(params, target), pair.found)
-    return RegisteredPair(
-        params,
-        pair.target,
-        pair.source,
-        kept,
-        are_apart=False,
-        by_tracking=True,
-        found=pair.found,
-        equations=equations,
-    )
-
-
-def _registered_all(
-    params: TrackerParams, graph: KeyframeGraph, pairs: Sequence[tuple[int, int]]
-) -> tuple[RegisteredPair, ...]:
-    maps = maps_of(graph) if pairs else ()
-    return tuple(_registered(params, graph, pair, bool(maps[pair[0]] != maps[pair[1]])) for pair in pairs)
+    params = params_of(params, graph.keyframes[pair.source])
+    return _registered(params, graph, (pair.target, pair.source), config, pair.found)
 
 
 def _registered(
-    params: TrackerParams, graph: KeyframeGraph, pair: tuple[int, int], are_apart: bool
+    params: TrackerParams,
+    graph: KeyframeGraph,
+    pair: tuple[int, int],
+    config: GraphConfig,
+    by_tracking: Registration | None = None,
 ) -> RegisteredPair:
+    """A pair with its equations and as an edge, registered now unless tracking did."""
     target, source = (graph.keyframes[number] for number in pair)
     fixed, moving = features_in_use(params, target), features_in_use(params, source)
-    guess = se3.identity() if are_apart else _by_poses(graph, pair)
-    found = register(params, moving, fixed, guess, guess_known=not are_apart)
+    maps = maps_of(graph)
+    are_apart, found = bool(maps[pair[0]] != maps[pair[1]]), by_tracking
+    if found is None:
+        guess = se3.identity() if are_apart else _by_poses(graph, pair)
+        found = register(params, moving, fixed, guess, guess_known=not are_apart)
     equations = pair_equations(params, moving, fixed, found)
-    kept = target.features, source.features
-    return RegisteredPair(params, *pair, kept, are_apart, by_tracking=False, found=found, equations=equations)
+    return RegisteredPair(
+        params=params,
+        target=pair[0],
+        source=pair[1],
+        kept=(target.features, source.features),
+        are_apart=are_apart,
+        by_tracking=by_tracking is not None,
+        found=found,
+        equations=equations,
+        edge=edge_of(*pair, found, config, depth_parameters_in_use(params), equations.depth),
+    )
 
 
 def _by_poses(graph: KeyframeGraph, pair: tuple[int, int]) -> jaxlie.SE3:
