@@ -3,6 +3,8 @@
     python -m experiments.ablation [--recordings NAME ...] [--variants NAME ...] [--strides 1 3 8]
         [--starts 10] [--frames N] [--csv FILE]
 
+A recording is a name of the table below, or as of `sfgs-jax run`: a path, or `synthetic:kinect=1,seed=2`.
+
 A start is a run of its own. Start n drops the first n frames. Even starts run forward; odd ones run backward
 and drop the last n. At a stride above one the starts see other frames. Nothing is mapped.
 
@@ -56,7 +58,7 @@ def run_recording(name: str, arguments: argparse.Namespace, done: dict[Key, Run]
         arguments: of the command line.
         done: runs that need not be done again.
     """
-    opened = open_recording(RECORDINGS[name], options=ReaderOptions(end=arguments.frames))
+    opened = open_recording(RECORDINGS.get(name, name), options=ReaderOptions(end=arguments.frames))
     recording, runs = InMemory(opened), []
     for stride in arguments.strides:
         for start in range(arguments.starts):
@@ -92,7 +94,7 @@ def print_tables(runs: Sequence[Run], arguments: argparse.Namespace) -> None:
 def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
     """Options of the command line; the whole system is always among the variants."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--recordings", nargs="+", default=list(RECORDINGS), choices=list(RECORDINGS))
+    parser.add_argument("--recordings", nargs="+", default=list(RECORDINGS), metavar="NAME")
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=list(VARIANTS))
     parser.add_argument("--strides", nargs="+", type=int, default=[1, 3, 8])
     parser.add_argument("--starts", type=int, default=10, help="how many, from start 0 on")
@@ -101,6 +103,9 @@ def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
     arguments = parser.parse_args(words)
     if arguments.starts < 1 or min(arguments.strides) < 1:
         parser.error("Starts and strides are at least 1.")
+    for name in arguments.recordings:
+        if name not in RECORDINGS and not name.startswith("synthetic") and not Path(name).exists():
+            parser.error(f"There is no recording {name}; names are {', '.join(RECORDINGS)}.")
     arguments.variants = [WHOLE, *(name for name in arguments.variants if name != WHOLE)]
     return arguments
 

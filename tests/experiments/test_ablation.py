@@ -166,6 +166,14 @@ def test_log_ratio_weighs_tables_alike_and_has_both_errors():
     assert np.isnan(log_ratio(runs, OTHER, WHOLE, "surface_m")).all()
 
 
+def test_a_recording_may_be_a_source(tmp_path, capsys):
+    made_up = "synthetic:kinect=1,seed=2"
+    assert ablation.parse(["--recordings", "noise", made_up, str(tmp_path)]).recordings[1] == made_up
+    with pytest.raises(SystemExit):
+        ablation.parse(["--recordings", "attic"])
+    assert "There is no recording attic; names are redkitchen, fr1_rpy, " in capsys.readouterr().err
+
+
 def test_runs_come_back_from_their_file(tmp_path):
     runs, file = [run_of(OTHER, 3, 1 / 3), run_of()], tmp_path / "runs.csv"
     assert read_runs(file) == []
