@@ -1,5 +1,6 @@
 """Registration of waiting pairs of keyframes, in a thread beside the tracker or at once."""
 
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Event
@@ -123,7 +124,7 @@ class Registrations:
             return ()
         if graph.tracked:
             return (_tracked(params, graph, graph.tracked[0], config),)
-        return tuple(_registered(params, graph, pair, config) for pair in (*graph.pending, *graph.again)[:1])
+        return _registered_all(params, graph, (*graph.pending, *graph.again)[:1], config)
 
     def take(self) -> tuple[RegisteredPair, ...] | None:
         """Pairs that a frame's graph is to take; None if a frame is to register them itself."""
@@ -152,7 +153,18 @@ def registered_pairs(
     waiting = (*graph.pending, *graph.again)
     turn = waiting[: max(config.registrations_per_frame, len(waiting) // config.backlog)]
     tracked = [_tracked(params, graph, pair, config) for pair in graph.tracked]
-    return (*tracked, *(_registered(params, graph, pair, config) for pair in turn))
+    return (*tracked, *_registered_all(params, graph, turn, config))
+
+
+def _registered_all(
+    params: TrackerParams, graph: KeyframeGraph, pairs: Sequence[tuple[int, int]], config: GraphConfig
+) -> tuple[RegisteredPair, ...]:
+    maps = maps_of(graph) if pairs else ()
+    apart = [bool(maps[target] != maps[source]) for target, source in pairs]
+    return tuple(
+        _registered(params, graph, pair, config, are_apart=are_apart)
+        for pair, are_apart in zip(pairs, apart, strict=True)
+    )
 
 
 def _tracked(
@@ -160,7 +172,8 @@ def _tracked(
 ) -> RegisteredPair:
     """A pair that tracking registered, with the correction of depth that its newer frame had then."""
     params = params_of(params, graph.keyframes[pair.source])
-    return _registered(params, graph, (pair.target, pair.source), config, pair.found)
+    ends = pair.target, pair.source
+    return _registered(params, graph, ends, config, are_apart=False, by_tracking=pair.found)
 
 
 def _registered(
@@ -168,13 +181,14 @@ def _registered(
     graph: KeyframeGraph,
     pair: tuple[int, int],
     config: GraphConfig,
+    *,
+    are_apart: bool,
     by_tracking: Registration | None = None,
 ) -> RegisteredPair:
     """A pair with its equations and as an edge, registered now unless tracking did."""
     target, source = (graph.keyframes[number] for number in pair)
     fixed, moving = features_in_use(params, target), features_in_use(params, source)
-    maps = maps_of(graph)
-    are_apart, found = bool(maps[pair[0]] != maps[pair[1]]), by_tracking
+    found = by_tracking
     if found is None:
         guess = se3.identity() if are_apart else _by_poses(graph, pair)
         found = register(params, moving, fixed, guess, guess_known=not are_apart)
