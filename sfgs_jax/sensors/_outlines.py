@@ -66,7 +66,8 @@ def outline_agreement(
         Of each place and image; NaN where no outline lies in the image.
     """
     height, width = edges.shape[1:]
-    columns, rows = outlines[..., 0], outlines[..., 1]
+    # In int16, as they are stored, the index of a pixel would wrap around.
+    columns, rows = outlines[..., 0].astype(np.intp), outlines[..., 1].astype(np.intp)
     within = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
     flat = np.where(within, rows * width + columns, 0)
     values = np.where(within, edges.reshape(len(edges), -1)[:, flat], 0)
