@@ -18,6 +18,7 @@ from sfgs_jax.sensors._exposure_file import format_gains as format_gains
 from sfgs_jax.sensors._exposure_file import read_gains as read_gains
 from sfgs_jax.sensors._lens import undistorted as undistorted
 from sfgs_jax.sensors._model import SensorModel as SensorModel
+from sfgs_jax.sensors._outlines import Outlines as Outlines
 from sfgs_jax.sensors._outlines import colour_edges as colour_edges
 from sfgs_jax.sensors._outlines import depth_outlines as depth_outlines
 from sfgs_jax.sensors._outlines import outline_agreement as outline_agreement

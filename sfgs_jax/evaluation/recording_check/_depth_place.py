@@ -12,14 +12,12 @@ from jaxtyping import Float, Int
 
 from sfgs_jax.evaluation.recording_check._finding import Finding
 from sfgs_jax.evaluation.recording_check._sample import RecordingSample
-from sfgs_jax.sensors import outline_agreement
+from sfgs_jax.sensors import Outlines, outline_agreement
 
 _FARTHEST = 15
 """Most frames that depth is tried earlier or later."""
 _CLEAR = 0.2
 """Least agreement that counts as one, and least gain that counts as better."""
-_WELL = 0.5
-"""Agreement beyond which the given layout is right."""
 _SIGMAS = 3.0
 
 Points = Float[np.ndarray, "n 2"] | Int[np.ndarray, "n 2"]
@@ -83,15 +81,10 @@ def check_depth_place(sample: RecordingSample) -> DepthPlace:
     Args:
         sample: of the recording.
     """
-    plain = _by_lag(sample, AS_IT_IS)
-    # Another layout can only be right where the given one fits badly at all times.
-    layout = AS_IT_IS
-    tables = {layout: plain}
-    if not plain.clear or plain.peak < _WELL:
-        tables |= {name: _by_lag(sample, name) for name in LAYOUTS if name != layout}
-        best = max(tables, key=lambda name: tables[name].peak)
-        if tables[best].clear and tables[best].peak > 2 * max(plain.peak, 0.05):
-            layout = best
+    tables = {name: _by_lag(sample, name) for name in LAYOUTS}
+    best = max(tables, key=lambda name: tables[name].peak)
+    surely = tables[best].clear and tables[best].peak > 2 * max(tables[AS_IT_IS].peak, 0.05)
+    layout = best if surely else AS_IT_IS
     table = tables[layout]
     lag = _lag_finding(table)
     late = table.lag if lag.severity == "warning" else 0
@@ -149,7 +142,6 @@ class _LagTable:
 
 def _by_lag(sample: RecordingSample, layout: str) -> _LagTable:
     size = np.array(sample.shape[::-1]) - 1
-    transform = LAYOUTS[layout]
     table: dict[int, list[float]] = {lag: [] for lag in range(-_FARTHEST, _FARTHEST + 1)}
     by_frame: dict[tuple[int, int], float] = {}
     windows: dict[int, list[list[float]]] = {lag: [] for lag in table}
@@ -157,13 +149,16 @@ def _by_lag(sample: RecordingSample, layout: str) -> _LagTable:
     for window in sample.windows:
         for lag in table:
             windows[lag].append([])
-        edges = np.stack([frame.edges for frame in window]) if window else np.zeros((0, *sample.shape))
+        edges = (
+            np.stack([frame.edges for frame in window])
+            if window
+            else np.zeros((0, *sample.shape, 2), np.int8)
+        )
         for depth_frame in window:
-            outlined.append(len(depth_frame.outlines) > 0)
+            outlined.append(len(depth_frame.outlines.pixels) > 0)
             if not outlined[-1]:
                 continue
-            moved = np.rint(transform(depth_frame.outlines / size) * size).astype(np.int32)
-            values = outline_agreement(edges, moved[None])[0]
+            values = outline_agreement(edges, _turned(depth_frame.outlines, layout, size))[0]
             for colour_frame, value in zip(window, values.tolist(), strict=True):
                 # Depth that belongs to an earlier colour image is late.
                 lag = depth_frame.index - colour_frame.index
@@ -183,6 +178,14 @@ def _by_lag(sample: RecordingSample, layout: str) -> _LagTable:
     per_window = [float(np.mean(values)) for values in windows[best] if values]
     spread = float(np.std(per_window) / np.sqrt(len(per_window))) if len(per_window) > 1 else 0.0
     return _LagTable(lags, means, np.asarray(against), spread, float(np.mean(outlined)))
+
+
+def _turned(outlines: Outlines, layout: str, size: Int[np.ndarray, " 2"]) -> Outlines:
+    """Outlines in the only place that they would have by a layout."""
+    transform = LAYOUTS[layout]
+    pixels = np.rint(transform(outlines.pixels / size) * size).astype(np.int32)
+    across = transform(outlines.across) - transform(np.zeros((1, 2), np.float32))
+    return Outlines(pixels[None], across[None])
 
 
 def _layout_finding(layout: str, tables: dict[str, _LagTable]) -> Finding:
@@ -262,9 +265,9 @@ def _registration_finding(sample: RecordingSample, table: _LagTable, *, in_place
 
 def _best_placement(sample: RecordingSample) -> tuple[float, float, Float[np.ndarray, " 2"], float]:
     """Agreement at the best zoom and shift of depth, these two, and the agreement as it is."""
-    frames = [frame for frame in sample.frames if len(frame.outlines)]
+    frames = [frame for frame in sample.frames if len(frame.outlines.pixels)]
     frames = frames[:: max(1, len(frames) // 16)]
-    outlines = [frame.outlines[:: max(1, len(frame.outlines) // 500)] for frame in frames]
+    thinned = [slice(None, None, max(1, len(frame.outlines.pixels) // 500)) for frame in frames]
     centre = (np.array(sample.shape[::-1]) - 1) / 2
     steps = np.rint(np.arange(-24, 25, 4) * max(sample.pixel, 0.25))
     shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 1, 2)
@@ -272,9 +275,10 @@ def _best_placement(sample: RecordingSample) -> tuple[float, float, Float[np.nda
     for tried in (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15):
         values = [
             outline_agreement(
-                frame.edges[None], np.rint((points - centre) * tried + centre + shifts).astype(np.int32)
+                frame.edges[None],
+                _moved(Outlines(*(part[some] for part in frame.outlines)), tried, shifts, centre),
             )
-            for frame, points in zip(frames, outlines, strict=True)
+            for frame, some in zip(frames, thinned, strict=True)
         ]
         # Far shifts may leave no outline in the image.
         means = np.mean(np.nan_to_num(values), axis=0)[:, 0]
@@ -284,3 +288,11 @@ def _best_placement(sample: RecordingSample) -> tuple[float, float, Float[np.nda
         if tried == 1:
             plain = max(plain, float(means[len(means) // 2]))
     return best, zoom, shift, plain
+
+
+def _moved(
+    outlines: Outlines, zoom: float, shifts: Float[np.ndarray, "s 1 2"], centre: Float[np.ndarray, " 2"]
+) -> Outlines:
+    """Outlines in each of the places that they would have by a zoom and some shifts."""
+    pixels = np.rint((outlines.pixels - centre) * zoom + centre + shifts).astype(np.int32)
+    return Outlines(pixels, np.broadcast_to(outlines.across, pixels.shape))

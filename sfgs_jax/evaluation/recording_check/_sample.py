@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int8, UInt8
 
 from sfgs_jax.arrays import FrameError, InputError
 from sfgs_jax.datasets import Recording
-from sfgs_jax.sensors import colour_edges, depth_outlines
+from sfgs_jax.sensors import Outlines, colour_edges, depth_outlines
 
 _WINDOWS, _WINDOW = 8, 20
 _LARGEST_WIDTH = 640
@@ -30,7 +30,7 @@ class SampledFrame:
         timestamp: seconds, of colour.
         depth_timestamp: seconds, of depth; None if not known.
         grey: brightness.
-        edges: of `colour_edges`, rounded to half precision.
+        edges: of `colour_edges`.
         outlines: of `depth_outlines`.
         seen: pixels that hold an image, not those beyond a lens's field of view.
         coverage: share of these with depth.
@@ -43,8 +43,8 @@ class SampledFrame:
     timestamp: float
     depth_timestamp: float | None
     grey: UInt8[np.ndarray, "h w"]
-    edges: Float[np.ndarray, "h w"]
-    outlines: Int[np.ndarray, "n 2"]
+    edges: Int8[np.ndarray, "h w 2"]
+    outlines: Outlines
     seen: Bool[np.ndarray, "h w"] | None
     coverage: float
     depth: Float[np.ndarray, "h w"] | None
@@ -160,7 +160,7 @@ def _sampled(recording: Recording, index: int, shape: tuple[int, int], *, keep_d
         timestamp=frame.timestamp,
         depth_timestamp=frame.depth_timestamp,
         grey=grey,
-        edges=colour_edges(grey).astype(np.float16),
+        edges=colour_edges(grey),
         outlines=depth_outlines(depth),
         seen=seen,
         coverage=float(len(found) / total),

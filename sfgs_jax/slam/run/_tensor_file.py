@@ -14,7 +14,16 @@ from safetensors.numpy import save
 
 from sfgs_jax.arrays import InputError, allow_open_files, excerpt, parsed_json, require_file, write_atomically
 
-_DTYPES = {"BOOL": "?", "U8": "<u1", "I16": "<i2", "I32": "<i4", "I64": "<i8", "F32": "<f4", "F64": "<f8"}
+_DTYPES = {
+    "BOOL": "?",
+    "U8": "<u1",
+    "I8": "<i1",
+    "I16": "<i2",
+    "I32": "<i4",
+    "I64": "<i8",
+    "F32": "<f4",
+    "F64": "<f8",
+}
 _LENGTH_BYTES = 8
 _MOST_BYTES = 1 << 40
 _KEY = "checksum"

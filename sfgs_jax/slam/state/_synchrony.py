@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Int8
 
 from sfgs_jax.arrays import pytree
 from sfgs_jax.geometry import Camera
@@ -12,8 +12,6 @@ FARTHEST_LAG = 5
 """Most frames by which depth is tried earlier or later."""
 MAX_OUTLINES = 500
 """Pixels of outlines that are kept of an image."""
-EDGE_STEP = 1 / 60
-"""Unit that edges are kept in; none is as large as 4."""
 WINDOW = 40
 """Frames that are judged together."""
 _WIDTH = 320
@@ -28,10 +26,9 @@ class Synchrony:
     Rings and table begin with the newest frame.
 
     Attributes:
-        edges: (r, h, w) of `sensors.colour_edges`, in a fraction of the image's size, in units of
-            `EDGE_STEP`, less their least.
-        mean_edges: (r,) their means.
+        edges: (r, h, w, 2) of `sensors.colour_edges`, in a fraction of the image's size.
         outlines: (r, n, 2) pixels of `sensors.depth_outlines` there; -1 where there are fewer.
+        across: (r, n, 2) their directions; 0 where there are fewer.
         known: (r,) frames that have both.
         agreements: (f, l) agreement of depth with colour by lag, for the newest frames that can be judged.
             The middle column is that of one time; those after it are of late depth.
@@ -40,9 +37,9 @@ class Synchrony:
             as far as can be told.
     """
 
-    edges: UInt8[np.ndarray, "r h w"]
-    mean_edges: Float[np.ndarray, " r"]
+    edges: Int8[np.ndarray, "r h w 2"]
     outlines: Int[np.ndarray, "r n 2"]
+    across: Float[np.ndarray, "r n 2"]
     known: Bool[np.ndarray, " r"]
     agreements: Float[np.ndarray, "f l"]
     num_judged: int
@@ -57,9 +54,9 @@ def empty_synchrony(camera: Camera) -> Synchrony:
     """
     ring, factor = FARTHEST_LAG + 1, lag_factor(camera)
     return Synchrony(
-        edges=np.zeros((ring, *(-(-side // factor) for side in camera.shape)), np.uint8),
-        mean_edges=np.zeros(ring, np.float32),
+        edges=np.zeros((ring, *(-(-side // factor) for side in camera.shape), 2), np.int8),
         outlines=np.full((ring, MAX_OUTLINES, 2), -1, np.int16),
+        across=np.zeros((ring, MAX_OUTLINES, 2), np.float32),
         known=np.zeros(ring, bool),
         agreements=np.zeros((WINDOW, 2 * FARTHEST_LAG + 1), np.float32),
         num_judged=0,
