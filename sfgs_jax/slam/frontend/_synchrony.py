@@ -2,8 +2,8 @@
 
 Poses from depth and colour of different times fit as well as others, and are wrong by what the camera moves
 between the two. But the outlines of things in depth then lie beside those in colour, and along those in the
-colour of some frames before or after. So outlines of the newest frames are compared at several lags. No unit of
-depth, intrinsics or poses are needed.
+colour of some frames before or after. So outlines of the newest frames are compared at several lags. No unit
+of depth, intrinsics or poses are needed.
 """
 
 from dataclasses import replace
