@@ -139,19 +139,34 @@ def test_recorrected_features_are_those_of_corrected_depth(recording, pair, sett
     np.testing.assert_allclose(found.keypoints.points[both], wanted.keypoints.points[both], atol=2e-3)
 
 
-def test_the_sensitivity_says_how_the_motion_changes():
+@pytest.fixture(scope="module")
+def registered():
+    """Two frames of a room and their registration, with the parameters that it has."""
     room = SyntheticRecording(num_frames=60, width=256, height=192)
     tracking = replace(slam.SlamConfig().tracking, estimate_depth=True, estimate_extrinsic=True)
     params = slam.tracker_params(room.camera, tracking)
     a, b = (slam.observe(params, room[number]) for number in (0, 8))
     found = slam.register(params, b, a, slam.register(params, b, a, se3.identity()).T_target_source)
+    return params, b, a, found
+
+
+def test_keypoints_show_the_extrinsic_and_surfaces_alone_the_distortion(registered):
+    """So surfaces can be heard before the rows of keypoints are known to lie where they belong."""
+    told = depth_equations(*registered)
+    alone, both = (np.diag(some.information) for some in (told.by_surface, told.by_both))
+    assert (alone[-6:] < 0.1 * both[-6:]).all()
+    assert alone[:-6].sum() > 0.5 * both[:-6].sum()
+
+
+def test_the_sensitivity_says_how_the_motion_changes(registered):
+    params, b, a, found = registered
     predicted = depth_equations(params, b, a, found).sensitivity
     across, down = np.meshgrid(np.linspace(-1, 1, DEPTH_GRID[1]), np.linspace(-1, 1, DEPTH_GRID[0]))
     changes = [np.r_[0.004 * pattern.ravel(), np.zeros(6)] for pattern in (across, down, across**2)]
     changes += [np.r_[np.zeros(across.size), motion] for motion in np.diag([0.01] * 3 + [0.005] * 3)]
     for change in changes:
         correction = params.depth_correction.with_vector(jnp.asarray(change, jnp.float32))
-        moved = [recorrected(x, room.camera, correction) for x in (b, a)]
+        moved = [recorrected(x, params.camera, correction) for x in (b, a)]
         again = slam.register(params, moved[0], moved[1], found.T_target_source)
         by = np.asarray(se3.log(se3.compose(se3.inverse(found.T_target_source), again.T_target_source)))
         expected = predicted @ change

@@ -9,6 +9,7 @@ the errors.
 """
 
 from functools import reduce
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -37,18 +38,31 @@ _LEAST_EXCESS = 0.01
 """Surfaces seen without noise count as measured ten times as well as a sensor's, at most."""
 
 
-class DepthEquations(eqx.Module):
-    """A registration's equations of the G parameters of a `DepthCorrection`, on the host.
+class ToldOfDepth(NamedTuple):
+    """Normal equations of the parameters, with the pose eliminated.
 
     Attributes:
-        information: (G, G) with the pose eliminated.
+        information: (G, G).
         vector: (G,) right-hand side, for the difference from the correction in use.
-        sensitivity: (6, G) derivative of the motion's tangent by the parameters.
-        surface_sensitivity: (6, G) that of the motion by the surface alone.
     """
 
     information: Float[np.ndarray, "G G"]
     vector: Float[np.ndarray, " G"]
+
+
+class DepthEquations(eqx.Module):
+    """A registration's equations of the G parameters of a `DepthCorrection`, on the host.
+
+    Attributes:
+        by_surface: what the surfaces alone tell.
+        by_both: what surfaces and keypoints tell together, by which alone an extrinsic shows. Where none is
+            estimated, the same as by the surfaces.
+        sensitivity: (6, G) derivative of the motion's tangent by the parameters.
+        surface_sensitivity: (6, G) that of the motion by the surface alone.
+    """
+
+    by_surface: ToldOfDepth
+    by_both: ToldOfDepth
     sensitivity: Float[np.ndarray, "6 G"]
     surface_sensitivity: Float[np.ndarray, "6 G"]
 
@@ -72,16 +86,21 @@ def depth_equations(
     # other.
     weighed = surface * by_surface + keypoints * by_keypoints
     told = surface / np.maximum(excess, _LEAST_EXCESS) * by_surface
+    alone = together = _left(told)
     if params.config.estimate_extrinsic:
-        # It shows where the motion of the surfaces is not the keypoints'.
-        told = told + keypoints * by_keypoints
-    left = without_pose(told)
+        together = _left(told + keypoints * by_keypoints)
     return DepthEquations(
-        information=left[:-1, :-1],
-        vector=-left[:-1, -1],
+        by_surface=alone,
+        by_both=together,
         sensitivity=-by_pose(weighed)[:, :-1],
         surface_sensitivity=-by_pose(surface)[:, :-1],
     )
+
+
+def _left(matrix: Float[np.ndarray, "n n"]) -> ToldOfDepth:
+    """What a normal matrix of pose, parameters and residual tells of the parameters."""
+    left = without_pose(matrix)
+    return ToldOfDepth(left[:-1, :-1], -left[:-1, -1])
 
 
 @jax.jit

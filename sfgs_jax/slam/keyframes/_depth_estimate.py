@@ -33,15 +33,16 @@ def with_edge_heard(
     """
     tracking, edge, depth = pair.params.config, pair.edge, pair.equations.depth
     told = int(pair.found.source) in (PoseSource.JOINT, PoseSource.SURFACE)
-    # Rows that lie where they don't belong look like a camera that does not.
-    told &= not tracking.estimate_extrinsic or rows_known(graph, (edge.target, edge.source), config)
     if not told:
         return graph, edge
     # Pairs of the same images say the same, as edges do.
     share = 1 / graph.noise.redundancy
     graph = replace(graph, focal=graph.focal.joined(pair.equations.focal.of_which(share)))
     if depth is not None:
-        told_of = share * depth.information, share * depth.vector
+        # Rows of keypoints that lie where they don't belong look like a camera that does not.
+        known = rows_known(graph, (edge.target, edge.source), config)
+        by = depth.by_both if known else depth.by_surface
+        told_of = share * by.information, share * by.vector
         total = graph.depth.plus(*told_of, edge.depth_parameters, prior_of(tracking))
         graph = replace(graph, depth=total)
     return graph, replace(edge, told=True)
