@@ -29,6 +29,14 @@ class Outlines(NamedTuple):
     pixels: Int[np.ndarray, "... n 2"]
     across: Float[np.ndarray, "... n 2"]
 
+    def every(self, step: int) -> "Outlines":
+        """Every so many of them, (n, 2).
+
+        Args:
+            step: from one to the next, at least 1.
+        """
+        return Outlines(self.pixels[::step], self.across[::step])
+
 
 @checked
 def colour_edges(grey: UInt8[np.ndarray, "h w"]) -> Int8[np.ndarray, "h w 2"]:
@@ -71,7 +79,7 @@ def depth_outlines(depth: Float[np.ndarray, "h w"]) -> Outlines:
         return Outlines(np.zeros((0, 2), np.int32), np.zeros((0, 2), np.float32))
     thinned = slice(None, None, -(-len(rows) // _MOST))
     rows, columns = rows[thinned], columns[thinned]
-    # By inverse depth: what is missing here and around is infinitely far.
+    # As inverse depth. A pixel without depth around it counts as infinitely far.
     filled = np.where(there, depth, np.where(far > 0, far, np.float32(np.inf)))
     smooth = cv2.GaussianBlur(near.min() / filled, (0, 0), 1.0)
     x, y = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)

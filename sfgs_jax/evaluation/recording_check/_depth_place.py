@@ -267,18 +267,15 @@ def _best_placement(sample: RecordingSample) -> tuple[float, float, Float[np.nda
     """Agreement at the best zoom and shift of depth, these two, and the agreement as it is."""
     frames = [frame for frame in sample.frames if len(frame.outlines.pixels)]
     frames = frames[:: max(1, len(frames) // 16)]
-    thinned = [slice(None, None, max(1, len(frame.outlines.pixels) // 500)) for frame in frames]
+    outlines = [frame.outlines.every(max(1, len(frame.outlines.pixels) // 500)) for frame in frames]
     centre = (np.array(sample.shape[::-1]) - 1) / 2
     steps = np.rint(np.arange(-24, 25, 4) * max(sample.pixel, 0.25))
     shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 1, 2)
     best, zoom, shift, plain = -np.inf, 1.0, np.zeros(2), 1e-3
     for tried in (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15):
         values = [
-            outline_agreement(
-                frame.edges[None],
-                _moved(Outlines(*(part[some] for part in frame.outlines)), tried, shifts, centre),
-            )
-            for frame, some in zip(frames, thinned, strict=True)
+            outline_agreement(frame.edges[None], _moved(some, tried, shifts, centre))
+            for frame, some in zip(frames, outlines, strict=True)
         ]
         # Far shifts may leave no outline in the image.
         means = np.mean(np.nan_to_num(values), axis=0)[:, 0]

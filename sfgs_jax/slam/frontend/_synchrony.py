@@ -45,8 +45,8 @@ def watched(synchrony: Synchrony, frame: Frame, max_lag: int) -> Synchrony:
         grey = np.clip(cv2.transform(rgb, np.full((1, 3), 255 / 3)), 0, 255).astype(np.uint8)
     depth = np.ascontiguousarray(np.where(has_depth(depth), depth, 0), np.float32)
     found = depth_outlines(depth)
-    thinned = slice(None, None, max(1, -(-len(found.pixels) // MAX_OUTLINES)))
-    pixels, across = found.pixels[thinned].astype(np.int16), found.across[thinned]
+    found = found.every(max(1, -(-len(found.pixels) // MAX_OUTLINES)))
+    pixels, across = found.pixels.astype(np.int16), found.across
     missing = ((0, MAX_OUTLINES - len(pixels)), (0, 0))
     edges = colour_edges(grey)
 

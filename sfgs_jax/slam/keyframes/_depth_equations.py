@@ -98,7 +98,7 @@ def depth_equations(
 
 
 def _left(matrix: Float[np.ndarray, "n n"]) -> ToldOfDepth:
-    """What a normal matrix of pose, parameters and residual tells of the parameters."""
+    """Equations of the parameters from a normal matrix of pose, parameters and residual."""
     left = without_pose(matrix)
     return ToldOfDepth(left[:-1, :-1], -left[:-1, -1])
 
