@@ -12,7 +12,7 @@ from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import SensorTiming, depth_in_time
 from sfgs_jax.slam import frontend
-from sfgs_jax.slam.keyframes import prior_noise, rectified_anew, with_first_motion
+from sfgs_jax.slam.keyframes import prior_noise, rectified_anew, with_first_motion, with_motion_to_next
 from sfgs_jax.slam.state import Edge, FrameFeatures, Keyframe, Keypoints, empty_graph
 from sfgs_jax.superfeats import Features
 
@@ -70,6 +70,14 @@ def off_surface(level, truth):
     return float(np.median(abs(along)[np.asarray(level.valid) & np.asarray(truth.valid)]))
 
 
+def bend(recording, pixels):
+    """Largest bend of inverse depth around some pixels, as a share of it."""
+    inverse, (u, v) = 1 / np.asarray(recording[NUMBER].depth), pixels.T
+    steps = [(i, j) for i in (-4, -2, 0, 2, 4) for j in (-4, -2, 0, 2, 4)]
+    bends = [(inverse[v + i, u + j] + inverse[v - i, u - j]) / 2 / inverse[v, u] - 1 for i, j in steps]
+    return np.max(np.abs(bends), axis=0)
+
+
 def test_the_surface_is_where_a_global_shutter_sees_it(recordings, seen, motion):
     faulty, ideal = recordings
     found = rectified(seen, faulty.camera, motion)
@@ -88,9 +96,25 @@ def test_keypoints_get_the_depth_of_their_own_time(recordings, seen, motion):
     found = rectified(seen, faulty.camera, motion).keypoints
     # Colour has no shutter here, so that its pixels stay.
     np.testing.assert_allclose(found.features.keypoints, pixels, atol=1e-3)
-    before, after = (np.median(abs(np.asarray(k.depth) - truth)) for k in (seen.keypoints, found))
+    known = np.asarray(found.depth) > 0
+    assert known[bend(faulty, pixels) < 0.03].mean() > 0.9
+    before, after = (np.median(abs(np.asarray(k.depth) - truth)[known]) for k in (seen.keypoints, found))
     assert before > 0.004
     assert after < 0.25 * before
+
+
+def test_few_keypoints_keep_the_depth_of_another_surface(recordings, seen, motion):
+    """Of pixels that depth shows away from its edges, some lie on an edge at their own time."""
+    faulty, ideal = recordings
+    u, v = (x.ravel() for x in np.meshgrid(np.arange(12, 116, 2), np.arange(12, 84, 2)))
+    pixels = np.stack([u, v], axis=-1)
+    pixels = pixels[bend(faulty, pixels) < 0.03]
+    points = keypoints_at(faulty, pixels)
+    depth = rectified(FrameFeatures(seen.cloud, points), faulty.camera, motion).keypoints.depth
+    known, truth = np.asarray(depth) > 0, np.asarray(ideal[NUMBER].depth)[pixels[:, 1], pixels[:, 0]]
+    before, after = (abs(np.asarray(d) / truth - 1)[known] for d in (points.depth, depth))
+    assert known.mean() > 0.95
+    assert np.quantile(after, 0.9) < 0.3 * np.quantile(before, 0.9)
 
 
 def test_a_depth_image_is_brought_to_the_time_of_colour(recordings, motion):
@@ -160,6 +184,31 @@ def test_a_keyframe_is_rectified_once_its_motion_and_the_times_are_known(recordi
         both = np.asarray(found.valid) & np.asarray(expected.valid)
         assert both.mean() > 0.9 * np.mean(expected.valid)
         assert off_surface(found, expected) < 5e-4
+
+
+def test_the_motion_to_the_next_frame_corrects_a_keyframe_whose_motion_changed(
+    recordings, seen, motion, early
+):
+    """Its mean before the keyframe and after it are those of half an interval earlier and later."""
+    params, graph = early
+    rate = np.asarray([0.2, 0, 0, 0, 0, -1.0], np.float32)
+    truth, seconds = np.asarray(motion.twist), 1 / 30
+    own, following = (truth + s * seconds * rate for s in (-0.5, 0.5))
+    features = rectified(seen, recordings[0].camera, replace(motion, twist=jnp.asarray(own)))
+    keyframe = replace(graph.keyframes[0], features=features, twist=own, times=TIMES)
+    graph = with_motion_to_next(params, replace(graph, keyframes=(keyframe,)), following, seconds)
+    halfway = truth + FAULTS.depth_delay / 2 * rate
+    np.testing.assert_allclose(graph.keyframes[0].twist, halfway, atol=1e-5)
+    wanted = rectified(seen, recordings[0].camera, replace(motion, twist=jnp.asarray(halfway)))
+    seen_by = graph.keyframes[0].features, features, wanted
+    found, before, expected = (by.cloud.levels[0] for by in seen_by)
+    assert off_surface(found, expected) < 0.2 * off_surface(before, expected)
+    assert graph.keyframes[0].edition == 1
+
+
+def test_a_keyframe_whose_times_are_unknown_keeps_its_motion(motion, early):
+    params, graph = early
+    assert with_motion_to_next(params, graph, np.asarray(motion.twist), 1 / 30) is graph
 
 
 def test_times_that_change_little_leave_keyframes_as_they_are(motion, early):

@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import Precision
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from sfgs_jax import gicp
 from sfgs_jax.arrays import dot
-from sfgs_jax.geometry import se3
+from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import depth_slopes, grid_shares
 from sfgs_jax.slam.frontend._registration_rows import keypoint_rows, surface_rows
 from sfgs_jax.slam.keyframes._elimination import by_pose, without_pose
@@ -128,7 +128,9 @@ def _surface_rows(
     """
     T = found.T_target_source
     rows = surface_rows(params, source, target, T)
-    weight = rows.expected_weight * _flat(source.cloud.levels[0], len(rows.residual))
+    flat = _is_flat(source.cloud.levels[0])
+    stride = round((flat.size / len(rows.residual)) ** 0.5)
+    weight = rows.expected_weight * flat[::stride, ::stride].reshape(-1)
 
     # Taken between the two surfaces. At the measured points the derivative would have their noise in it. Then
     # offsets that shrink the scene, and all noise with it, would seem to fit better.
@@ -146,15 +148,14 @@ def _surface_rows(
     return jnp.concatenate(columns), weight, rows.excess(weight)
 
 
-def _flat(level: gicp.OrganisedLevel, count: int) -> Float[Array, " N"]:
-    """1 where the surface around a point is flat, else 0; of every n-th row and column, N in all."""
+def _is_flat(level: gicp.OrganisedLevel) -> Bool[Array, "h w"]:
+    """True where the surface around a point is flat."""
     normals = jnp.pad(level.normals, ((2, 2), (2, 2), (0, 0)))
     height, width = level.valid.shape
     steps = ((0, 0), (0, 4), (4, 0), (4, 4), (0, 2), (2, 0), (2, 4), (4, 2))
     around = [normals[v : v + height, u : u + width] for v, u in steps]
     least = reduce(jnp.minimum, [jnp.sum(level.normals * n, axis=-1) for n in around])
-    stride = round((least.size / count) ** 0.5)
-    return (least > _MIN_FLATNESS)[::stride, ::stride].reshape(-1).astype(least.dtype)
+    return least > _MIN_FLATNESS
 
 
 def _keypoint_rows(
@@ -177,4 +178,14 @@ def _keypoint_rows(
     measured = jnp.where(known, 1 / params.noise.inverse_depth, 0)
     by_depth = by_depth.at[2].add(measured[None] * changes)
     all_rows = jnp.concatenate([rows.at.pose_jacobian, by_depth, rows.at.residual[:, None]], axis=1)
-    return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), rows.weights
+    flat = _is_flat_at(source, camera, pixels) & _is_flat_at(target, camera, target_pixels)
+    return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), rows.weights * jnp.tile(flat, 3)
+
+
+def _is_flat_at(features: FrameFeatures, camera: Camera, pixels: Float[Array, "k 2"]) -> Bool[Array, " k"]:
+    """True where the surface that keypoints lie on is flat."""
+    level = features.cloud.levels[0]
+    height, width = level.valid.shape
+    at = level.camera.project(camera.unproject(pixels, jnp.ones_like(pixels[:, 0])))
+    u, v = jnp.round(at).astype(jnp.int32).T
+    return _is_flat(level)[jnp.clip(v, 0, height - 1), jnp.clip(u, 0, width - 1)]

@@ -16,7 +16,7 @@ from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.keyframes._edges import edge_of
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
-from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew, with_first_motion
+from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew, with_first_motion, with_motion_to_next
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph, TrackedPair
 from sfgs_jax.slam.state._maps import maps_of
@@ -49,6 +49,9 @@ def with_new_keyframes(
         return first_keyframe(params, graph, _reference(after, 0, frames[1]), info.T_world_cam, config)
     if graph.keyframes[-1].frame == frames[0]:
         graph = with_first_motion(graph, np.asarray(after.last_motion.twist))
+        if params.config.estimate_timing and bool(after.last_motion.known):
+            seconds = float(after.motion_seconds)
+            graph = with_motion_to_next(params, graph, np.asarray(after.last_motion.twist), seconds)
     if bridged:
         reference = int(before.reference_keyframes[before.current])
         # The frame's own keyframe came after it.

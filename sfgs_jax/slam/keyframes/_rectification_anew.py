@@ -44,6 +44,30 @@ def with_first_motion(graph: KeyframeGraph, twist: Float[np.ndarray, "6"]) -> Ke
     return replace(graph, keyframes=(*graph.keyframes[:-1], newest))
 
 
+def with_motion_to_next(
+    params: TrackerParams, graph: KeyframeGraph, twist: Float[np.ndarray, "6"], seconds: float
+) -> KeyframeGraph:
+    """The graph whose newest keyframe is rectified by the motion that it had halfway from colour to depth.
+
+    When it was tracked, only the motion from the frame before it was known: its mean, half a frame ago. The
+    motion to the next frame tells how it changed.
+
+    Args:
+        params: parameters of tracking.
+        graph: with a keyframe, which the newest frame follows.
+        twist: motion per second from the keyframe to the frame after it.
+        seconds: between these two; the frame before counts as equally far.
+    """
+    newest = graph.keyframes[-1]
+    if not newest.times.any():
+        return graph
+    share = float(np.clip((1 + newest.times[0] / seconds) / 2, 0, 1))
+    change = share * (twist - newest.twist)
+    features = _moved(newest.features, params.camera, change, newest.times)
+    newest = replace(newest, features=features, twist=newest.twist + change, edition=newest.edition + 1)
+    return replace(graph, keyframes=(*graph.keyframes[:-1], newest))
+
+
 def rectified_anew(
     params: TrackerParams,
     graph: KeyframeGraph,
