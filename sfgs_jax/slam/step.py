@@ -17,7 +17,12 @@ from sfgs_jax.slam._frame_check import check_frame
 from sfgs_jax.slam._frame_pose import find_pose
 from sfgs_jax.slam._graph_results import with_graph
 from sfgs_jax.slam.frontend import with_corrected_depth
-from sfgs_jax.slam.keyframes import Registrations, advance_graph, with_new_keyframes
+from sfgs_jax.slam.keyframes import (
+    Registrations,
+    advance_graph,
+    with_new_keyframes,
+    with_pairs_of_known_motion,
+)
 from sfgs_jax.slam.mapping import becomes_extra_view, becomes_view, map_frame, view_of
 from sfgs_jax.slam.state import (
     SlamState,
@@ -102,7 +107,8 @@ def follow(
     params, config, before = state.params, state.config.graph, state
     registrations = registrations or Registrations()
     if registrations.are_awaited and _newest_is_tracked(before):
-        registrations.begin(params, before.graph, config)
+        ready = with_pairs_of_known_motion(params, before.graph, before.log.newest)
+        registrations.begin(params, ready, config)
     with stages("tracking"):
         state, found, info, covariance = find_pose(state, frame, number)
     if found is None:

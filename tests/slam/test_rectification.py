@@ -12,7 +12,13 @@ from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import SensorTiming, depth_in_time
 from sfgs_jax.slam import frontend
-from sfgs_jax.slam.keyframes import prior_noise, rectified_anew, with_first_motion, with_motion_to_next
+from sfgs_jax.slam.keyframes import (
+    prior_noise,
+    rectified_anew,
+    with_first_motion,
+    with_motion_to_next,
+    with_pairs_of_known_motion,
+)
 from sfgs_jax.slam.state import Edge, FrameFeatures, Keyframe, Keypoints, empty_graph
 from sfgs_jax.superfeats import Features
 
@@ -209,6 +215,16 @@ def test_the_motion_to_the_next_frame_corrects_a_keyframe_whose_motion_changed(
 def test_a_keyframe_whose_times_are_unknown_keeps_its_motion(motion, early):
     params, graph = early
     assert with_motion_to_next(params, graph, np.asarray(motion.twist), 1 / 30) is graph
+
+
+def test_pairs_of_a_keyframe_wait_for_its_motion_to_the_next_frame(early):
+    params, graph = early
+    keyframes = tuple(replace(graph.keyframes[0], frame=number) for number in (3, 7, NUMBER))
+    graph = replace(graph, keyframes=keyframes, pending=((0, 1), (1, 2)))
+    timed = replace(params, config=replace(params.config, estimate_timing=True))
+    assert with_pairs_of_known_motion(params, graph, NUMBER) is graph, "nothing is rectified"
+    assert with_pairs_of_known_motion(timed, graph, NUMBER + 1) is graph
+    assert with_pairs_of_known_motion(timed, graph, NUMBER).pending == ((0, 1),)
 
 
 def test_times_that_change_little_leave_keyframes_as_they_are(motion, early):

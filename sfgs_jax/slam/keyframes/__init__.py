@@ -44,6 +44,9 @@ from sfgs_jax.slam.keyframes._pose_graph import optimise_poses as optimise_poses
 from sfgs_jax.slam.keyframes._rectification_anew import rectified_anew as rectified_anew
 from sfgs_jax.slam.keyframes._rectification_anew import with_first_motion as with_first_motion
 from sfgs_jax.slam.keyframes._rectification_anew import with_motion_to_next as with_motion_to_next
+from sfgs_jax.slam.keyframes._rectification_anew import (
+    with_pairs_of_known_motion as with_pairs_of_known_motion,
+)
 from sfgs_jax.slam.keyframes._revisit import return_to_keyframe as return_to_keyframe
 from sfgs_jax.slam.keyframes._revisit import revisited as revisited
 from sfgs_jax.slam.keyframes._settling import settled as settled

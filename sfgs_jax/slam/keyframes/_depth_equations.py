@@ -130,7 +130,7 @@ def _surface_rows(
     rows = surface_rows(params, source, target, T)
     flat = _is_flat(source.cloud.levels[0])
     stride = round((flat.size / len(rows.residual)) ** 0.5)
-    weight = rows.expected_weight * flat[::stride, ::stride].reshape(-1)
+    weight = jnp.where(flat[::stride, ::stride].reshape(-1), rows.expected_weight, 0)
 
     # Taken between the two surfaces. At the measured points the derivative would have their noise in it. Then
     # offsets that shrink the scene, and all noise with it, would seem to fit better.
@@ -178,8 +178,10 @@ def _keypoint_rows(
     measured = jnp.where(known, 1 / params.noise.inverse_depth, 0)
     by_depth = by_depth.at[2].add(measured[None] * changes)
     all_rows = jnp.concatenate([rows.at.pose_jacobian, by_depth, rows.at.residual[:, None]], axis=1)
+    # What an extrinsic does to a keypoint's depth is known only where the surface has one normal.
     flat = _is_flat_at(source, camera, pixels) & _is_flat_at(target, camera, target_pixels)
-    return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), rows.weights * jnp.tile(flat, 3)
+    weights = jnp.where(jnp.tile(flat, 3), rows.weights, 0)
+    return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), weights
 
 
 def _is_flat_at(features: FrameFeatures, camera: Camera, pixels: Float[Array, "k 2"]) -> Bool[Array, " k"]:

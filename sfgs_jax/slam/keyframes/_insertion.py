@@ -49,14 +49,13 @@ def with_new_keyframes(
         return first_keyframe(params, graph, _reference(after, 0, frames[1]), info.T_world_cam, config)
     if graph.keyframes[-1].frame == frames[0]:
         graph = with_first_motion(graph, np.asarray(after.last_motion.twist))
-        if params.config.estimate_timing and bool(after.last_motion.known):
-            seconds = float(after.motion_seconds)
-            graph = with_motion_to_next(params, graph, np.asarray(after.last_motion.twist), seconds)
+        graph = _in_its_motion(params, graph, after)
     if bridged:
         reference = int(before.reference_keyframes[before.current])
         # The frame's own keyframe came after it.
         new = _reference(after, int(taken), frames[0])
         graph = insert_keyframe(params, graph, new, before.last_registration, reference, config)
+        graph = _in_its_motion(params, graph, after)
     if taken:
         new, reference = _reference(after, 0, frames[1]), int(info.reference)
         graph = insert_keyframe(params, graph, new, info.registration, reference, config)
@@ -66,6 +65,14 @@ def with_new_keyframes(
         if bool(after.last_motion.known):
             graph = rectified_anew(params, graph, after.last_motion.timing.on_host(), config)
     return graph
+
+
+def _in_its_motion(params: TrackerParams, graph: KeyframeGraph, after: Tracker) -> KeyframeGraph:
+    """The graph whose newest keyframe is the frame before, now that its motion to this frame is known."""
+    motion = after.last_motion
+    if not params.config.estimate_timing or not bool(motion.known):
+        return graph
+    return with_motion_to_next(params, graph, np.asarray(motion.twist), float(after.motion_seconds))
 
 
 class Reference(NamedTuple):

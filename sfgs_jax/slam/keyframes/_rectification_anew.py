@@ -59,13 +59,31 @@ def with_motion_to_next(
         seconds: between these two; the frame before counts as equally far.
     """
     newest = graph.keyframes[-1]
-    if not newest.times.any():
+    if not (newest.twist.any() and newest.times.any()):
         return graph
     share = float(np.clip((1 + newest.times[0] / seconds) / 2, 0, 1))
     change = share * (twist - newest.twist)
     features = _moved(newest.features, params.camera, change, newest.times)
     newest = replace(newest, features=features, twist=newest.twist + change, edition=newest.edition + 1)
     return replace(graph, keyframes=(*graph.keyframes[:-1], newest))
+
+
+def with_pairs_of_known_motion(params: TrackerParams, graph: KeyframeGraph, newest: int) -> KeyframeGraph:
+    """The graph as registrations see it: those of a keyframe wait for its motion to the next frame.
+
+    Args:
+        params: parameters of tracking.
+        graph: before the next frame.
+        newest: number of the newest frame.
+    """
+    if not params.config.estimate_timing or not graph.keyframes or graph.keyframes[-1].frame != newest:
+        return graph
+    last = len(graph.keyframes) - 1
+    return replace(
+        graph,
+        tracked=tuple(pair for pair in graph.tracked if last not in (pair.target, pair.source)),
+        pending=tuple(pair for pair in graph.pending if last not in pair),
+    )
 
 
 def rectified_anew(

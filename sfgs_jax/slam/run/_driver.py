@@ -27,7 +27,7 @@ from sfgs_jax.sensors import SensorModel
 from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
-from sfgs_jax.slam.keyframes import Registrations
+from sfgs_jax.slam.keyframes import Registrations, with_pairs_of_known_motion
 from sfgs_jax.slam.mapping import (
     InlineMapWorker,
     MapWorker,
@@ -315,7 +315,9 @@ def _follow_all(
         if result.num_frames % _TRIM_EVERY == 0:
             Thread(target=return_free_memory, name="sfgs_jax heap", daemon=True).start()
         if registrations is not None and isinstance(found, StepInfo) and found.tracked:
-            registrations.begin_while_idle(result.state.params, result.state.graph, result.config.graph)
+            params, graph = result.state.params, result.state.graph
+            ready = with_pairs_of_known_motion(params, graph, result.state.log.newest)
+            registrations.begin_while_idle(params, ready, result.config.graph)
 
 
 def _map_worker(result: Run, config: SlamConfig, storage: Path | None, *, realtime: bool) -> MapWorker:
