@@ -34,8 +34,7 @@ def with_depth_in_time(features: FrameFeatures, camera: Camera, moving: gicp.Row
     """Keypoints of a frame with the depth that their surface had when colour was exposed.
 
     Between the exposures of a pixel's colour and depth the camera moves, and its depth is that of another
-    point. The surface there, as a plane, is moved to colour's time and met with the keypoint's ray. Where
-    no surface is known there, the keypoint has no depth any more.
+    point. The surface there, as a plane, is moved to colour's time and met with the keypoint's ray.
 
     Args:
         features: of a frame as it was read.
@@ -53,13 +52,9 @@ def with_depth_in_time(features: FrameFeatures, camera: Camera, moving: gicp.Row
 
     still = _depth_along(level, camera, pixels, rays, moving.twist, jnp.zeros_like(ahead))
     then = _depth_along(level, camera, at, rays, moving.twist, ahead)
-    # Without motion the depth stays what was measured. By how much a pixel misses its plane says nothing
-    # about the next pixel.
-    off = jnp.sum(jnp.square(at - pixels), axis=1)
-    own = jnp.maximum(1 - off, 0)
-    both = (still > 0) & (then > 0) & (keypoints.depth > 0)
-    beside = jnp.where(both, keypoints.depth / jnp.where(both, still, 1) - 1, 0)
-    depth = jnp.where(both, then * (1 + own * beside), jnp.where(off < 1, keypoints.depth, 0))
+    # Both by planes, so that without motion the depth stays what was measured.
+    both = (still > 0) & (then > 0)
+    depth = keypoints.depth * jnp.where(both, then / jnp.where(both, still, 1), 1)
     points = camera.unproject(pixels, jnp.where(depth > 0, depth, 1))
     return replace(keypoints, depth=depth, points=points)
 
