@@ -96,7 +96,7 @@ def test_the_extrinsic_is_found_with_its_uncertainty(recording, runs):
     # Fifty frames turn too little to show more of it.
     assert np.linalg.norm(off[3:]) < 0.8 * np.linalg.norm(truth[3:])
     assert (sigmas < [0.01] * 6).all()
-    # Of six degrees of freedom; chance exceeds it in one case of a thousand.
+    # There are six degrees of freedom: chance exceeds it in one case of a thousand.
     assert off @ np.linalg.solve(covariance[-6:, -6:], off) < 22.5
 
 

@@ -178,7 +178,7 @@ def _keypoint_rows(
     measured = jnp.where(known, 1 / params.noise.inverse_depth, 0)
     by_depth = by_depth.at[2].add(measured[None] * changes)
     all_rows = jnp.concatenate([rows.at.pose_jacobian, by_depth, rows.at.residual[:, None]], axis=1)
-    # What an extrinsic does to a keypoint's depth is known only where the surface has one normal.
+    # Only where the surface has one normal is it known how an extrinsic changes a keypoint's depth.
     flat = _is_flat_at(source, camera, pixels) & _is_flat_at(target, camera, target_pixels)
     weights = jnp.where(jnp.tile(flat, 3), rows.weights, 0)
     return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), weights

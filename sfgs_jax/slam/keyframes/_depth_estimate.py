@@ -40,8 +40,9 @@ def with_edge_heard(
     graph = replace(graph, focal=graph.focal.joined(pair.equations.focal.of_which(share)))
     if depth is not None:
         # Rows of keypoints that lie where they don't belong look like a camera that does not.
-        known = rows_known(graph, (edge.target, edge.source), config)
-        by = depth.by_both if known else depth.by_surface
+        ends = edge.target, edge.source
+        both = tracking.estimate_extrinsic and rows_known(graph, ends, config)
+        by = depth.by_both if both else depth.by_surface
         told_of = share * by.information, share * by.vector
         total = graph.depth.plus(*told_of, edge.depth_parameters, prior_of(tracking))
         graph = replace(graph, depth=total)

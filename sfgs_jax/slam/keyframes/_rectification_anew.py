@@ -63,8 +63,8 @@ def with_motion_to_next(
         return graph
     share = float(np.clip((1 + newest.times[0] / seconds) / 2, 0, 1))
     change = share * (twist - newest.twist)
-    features = _moved(newest.features, params.camera, change, newest.times)
-    newest = replace(newest, features=features, twist=newest.twist + change, edition=newest.edition + 1)
+    newest = _rectified(newest, params.camera, change, newest.times)
+    newest = replace(newest, twist=newest.twist + change)
     return replace(graph, keyframes=(*graph.keyframes[:-1], newest))
 
 
@@ -112,12 +112,8 @@ def rectified_anew(
     keyframes = list(graph.keyframes)
     for number in stale:
         keyframe = keyframes[number]
-        keyframes[number] = replace(
-            keyframe,
-            features=_moved(keyframe.features, params.camera, keyframe.twist, times - keyframe.times),
-            times=times,
-            edition=keyframe.edition + 1,
-        )
+        moved = _rectified(keyframe, params.camera, keyframe.twist, times - keyframe.times)
+        keyframes[number] = replace(moved, times=times)
     again = [
         (edge.target, edge.source)
         for edge in graph.edges
@@ -157,6 +153,14 @@ def _row_motions(
     delay, colour, depth = off.T.astype(np.float64)
     moved = np.maximum(colour / 2, delay + depth / 2)[:, None] * np.stack([k.twist for k in keyframes])
     return np.einsum("ni,ij,nj->n", moved, np.linalg.inv(prior_noise(config).covariance), moved)
+
+
+def _rectified(
+    keyframe: Keyframe, camera: Camera, twist: Float[np.ndarray, "6"], times: Float[np.ndarray, "3"]
+) -> Keyframe:
+    """A keyframe whose rows are moved on by a motion in some times, as its next edition."""
+    features = _moved(keyframe.features, camera, twist, times)
+    return replace(keyframe, features=features, edition=keyframe.edition + 1)
 
 
 @jax.jit
