@@ -23,6 +23,8 @@ def registration(
         inliers=jnp.zeros(4, bool),
         num_matches=jnp.asarray(2 * inliers),
         num_inliers=jnp.asarray(inliers),
+        pixels=jnp.zeros((4, 2)),
+        T_as_detected=T,
     )
     return Registration(
         T_target_source=T,

@@ -90,7 +90,13 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
         levels=1, strides=(1,), max_iterations=(60,), tolerance=(1e-13,), damping=1e-12, skipped_halvings=0
     )
     settings = examples["settings"]
-    features = replace(settings.features, match_weights="learned", max_iterations=100, tolerance=1e-13)
+    features = replace(
+        settings.features,
+        match_weights="learned",
+        max_iterations=100,
+        tolerance=1e-13,
+        patch_steps=200,
+    )
     settings = replace(settings, gicp=exact, features=features, estimate_timing=True, estimate_depth=True)
     # Not zero: there the rays would lie on the pixels, where interpolation has a kink.
     extrinsic = jnp.asarray([0.003, -0.002, 0.004, 0.002, -0.003, 0.001], jnp.float32)

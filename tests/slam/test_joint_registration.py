@@ -54,6 +54,12 @@ def params(tracking):
 
 
 @pytest.fixture
+def made_up(tracking):
+    """Parameters for keypoints whose places and points are made up: no image shows them."""
+    return tracker_params(CAMERA, replace(tracking, features=replace(tracking.features, align_patches=False)))
+
+
+@pytest.fixture
 def look(params):
     return lambda frame: observe(params, frame)
 
@@ -85,7 +91,7 @@ def test_along_a_textured_wall_the_keypoints_decide(rng, look, params):
 
 
 @pytest.mark.parametrize(("wrong", "expected"), [(0.4, PoseSource.JOINT), (0.82, PoseSource.LOST)])
-def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, params, tracking, wrong, expected):
+def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, made_up, tracking, wrong, expected):
     """Nor does the motion model against so many that fit no motion."""
     image = texture(rng)
     source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
@@ -94,7 +100,7 @@ def test_keypoints_decide_alone_only_if_enough_of_them_agree(rng, look, params, 
     points = jnp.where(astray[:, None], points[rng.permutation(len(points))], points)
     target = eqx.tree_at(lambda o: o.keypoints.points, target, points)
     guess = se3.exp(jnp.asarray([0.05, -0.02, 0.0, 0.0, 0.0, 0.0]))
-    found = register(params, source, target, guess)
+    found = register(made_up, source, target, guess)
     agreeing = int(found.matched.num_inliers) / int(found.matched.num_matches)
     assert (agreeing > tracking.features.min_inlier_share_alone) == (expected == PoseSource.JOINT)
     assert agreeing > tracking.features.min_inlier_share
@@ -161,7 +167,7 @@ def test_what_the_reference_does_not_show_is_no_reason_to_doubt_a_surface(
 def test_inliers_that_another_motion_explains_are_counted(rng, look, params):
     image = texture(rng)
     source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
-    matched = motion_from_keypoints(source.keypoints, target.keypoints, se3.identity(), params)
+    matched = motion_from_keypoints(source, target, se3.identity(), params)
 
     @jax.jit
     def explained(T):
@@ -325,7 +331,8 @@ def known_matches(rng, look):
             descriptors=jnp.asarray(descriptors),
             valid=jnp.ones(k, bool),
         )
-        return replace(like.keypoints, features=found, depth=jnp.asarray(depth), points=jnp.asarray(points))
+        known = replace(like.keypoints, features=found, depth=jnp.asarray(depth), points=jnp.asarray(points))
+        return replace(like, keypoints=known)
 
     wrong = np.arange(k) % 3 == 0
     where = np.array(CAMERA.project(jnp.asarray(seen)))
@@ -336,13 +343,14 @@ def known_matches(rng, look):
     return moved, keypoints(target, pixels, depth, points), T, wrong
 
 
-def test_keypoints_give_the_motion_of_known_matches(known_matches, params):
+def test_keypoints_give_the_motion_of_known_matches(known_matches, made_up):
     source, target, T, wrong = known_matches
-    found = jax.jit(motion_from_keypoints)(source, target, se3.identity(), params)
+    found = jax.jit(motion_from_keypoints)(source, target, se3.identity(), made_up)
     np.testing.assert_allclose(off(T, found.T_target_source), 0, atol=1e-4)
     assert int(found.num_inliers) >= 0.6 * len(wrong)
-    far = np.abs(source.features.keypoints - target.features.keypoints).max(1) > 60
-    assert not np.any(np.asarray(found.inliers)[wrong & np.asarray((source.depth > 0) & far)])
+    seen, shown = source.keypoints, target.keypoints
+    far = np.abs(seen.features.keypoints - shown.features.keypoints).max(1) > 60
+    assert not np.any(np.asarray(found.inliers)[wrong & np.asarray((seen.depth > 0) & far)])
 
 
 def off(a, b):
@@ -353,31 +361,34 @@ def off(a, b):
 def noisy_matches(known_matches, rng):
     """The same, with noise that the kernel holds to be wrong in part: steps are many."""
     source, target, T, _ = known_matches
-    pixels = source.features.keypoints + rng.normal(scale=2, size=source.features.keypoints.shape)
-    features = replace(source.features, keypoints=pixels.astype(jnp.float32))
-    return replace(source, features=features), target, T
+    pixels = source.keypoints.features.keypoints
+    noisy = pixels + rng.normal(scale=2, size=pixels.shape).astype(np.float32)
+    return eqx.tree_at(lambda s: s.keypoints.features.keypoints, source, noisy), target, T
 
 
-def test_the_motion_of_the_keypoints_does_not_depend_on_its_start(noisy_matches, params):
+def test_the_motion_of_the_keypoints_does_not_depend_on_its_start(noisy_matches, made_up):
     source, target, T = noisy_matches
     beside = se3.compose(T, se3.exp(jnp.asarray([0.01, -0.01, 0.01, 0.01, 0.01, -0.01])))
     find = jax.jit(motion_from_keypoints)
-    ends = [find(source, target, start, params).T_target_source for start in (T, beside)]
+    ends = [find(source, target, start, made_up).T_target_source for start in (T, beside)]
     np.testing.assert_allclose(off(*ends), 0, atol=2e-5)
     assert np.abs(off(T, ends[0])).max() > 1e-3
 
 
 def test_the_motion_of_the_keypoints_has_the_slope_of_a_difference_in_reverse_mode(noisy_matches, tracking):
     source, target, T = noisy_matches
-    params = tracker_params(CAMERA, replace(tracking, features=replace(tracking.features, tolerance=1e-7)))
+    features = replace(tracking.features, align_patches=False, tolerance=1e-7)
+    params = tracker_params(CAMERA, replace(tracking, features=features))
 
     def along(points):
-        found = motion_from_keypoints(source, replace(target, points=points), T, params)
+        moved = eqx.tree_at(lambda t: t.keypoints.points, target, points)
+        found = motion_from_keypoints(source, moved, T, params)
         return se3.log(found.T_target_source) @ jnp.arange(1.0, 7)
 
-    step = 1e-3 * target.points[:, ::-1]
+    points = target.keypoints.points
+    step = 1e-3 * points[:, ::-1]
     value_and_slopes = jax.jit(jax.value_and_grad(along))
-    slope = jnp.sum(value_and_slopes(target.points)[1] * step)
-    ends = [value_and_slopes(target.points + sign * step)[0] for sign in (1, -1)]
+    slope = jnp.sum(value_and_slopes(points)[1] * step)
+    ends = [value_and_slopes(points + sign * step)[0] for sign in (1, -1)]
     assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / 2, rel=0.02)
     assert abs(float(slope)) > 1e-4

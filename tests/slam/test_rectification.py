@@ -58,16 +58,16 @@ def keypoints_at(recording, pixels):
     depth = jnp.asarray(recording[NUMBER].depth)[pixels[:, 1], pixels[:, 0]]
     count, at = len(pixels), jnp.asarray(pixels, jnp.float32)
     features = Features(at, jnp.ones(count), jnp.zeros((count, 64)), jnp.ones(count, bool))
-    return Keypoints(
-        features, depth, recording.camera.unproject(at, depth), jnp.zeros((len(at), 3)), jnp.zeros(64)
-    )
+    points, normals = recording.camera.unproject(at, depth), jnp.zeros((count, 3))
+    return Keypoints(features, depth, points, normals, jnp.zeros(64), places=at)
 
 
 @pytest.fixture(scope="module")
 def seen(recordings):
     faulty, _ = recordings
     u, v = np.meshgrid(np.arange(12, 120, 8), np.arange(12, 88, 8))
-    return FrameFeatures(cloud_of(faulty), keypoints_at(faulty, np.stack([u, v], axis=-1).reshape(-1, 2)))
+    keypoints = keypoints_at(faulty, np.stack([u, v], axis=-1).reshape(-1, 2))
+    return FrameFeatures(cloud_of(faulty), keypoints, grey=jnp.zeros((0, 0)))
 
 
 def off_surface(level, truth):

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sfgs_jax import gicp
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.slam.config import FeaturesConfig
+from sfgs_jax.slam.frontend._aligned_matches import with_aligned_places
 from sfgs_jax.slam.frontend._least_reprojection import (
     MatchedRows,
     information,
@@ -16,7 +17,7 @@ from sfgs_jax.slam.frontend._least_reprojection import (
     newton_corrected,
     row_residuals,
 )
-from sfgs_jax.slam.state._frame_features import Keypoints
+from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
 from sfgs_jax.slam.state._tracker import TrackerParams
 from sfgs_jax.superfeats import Expected, Matches, match
@@ -26,8 +27,8 @@ _CELLS = 8
 
 
 def motion_from_keypoints(
-    source: Keypoints,
-    target: Keypoints,
+    source: FrameFeatures,
+    target: FrameFeatures,
     guess: jaxlie.SE3,
     params: TrackerParams,
     sweep: gicp.Sweep | None = None,
@@ -40,27 +41,35 @@ def motion_from_keypoints(
     if that explains most of the matches. Otherwise a rigid motion that lays the matched points on
     each other is tried, by graduated non-convexity; it needs depth in both frames. Then Gauss-Newton with a
     Geman-McClure kernel minimises the reprojection error of the target's points. That is an error of pixels
-    and, where the source has depth, of inverse depth.
+    and, where the source has depth, of inverse depth. By that motion the target's patches are laid over the
+    source's: matches get the places at which they look alike, and those that don't are left out. The motion
+    is found anew.
 
     The motion is differentiable by the implicit function theorem; with learned weights also with respect to
     descriptors and scores. Which keypoints match, and where the iterations start, has no derivative.
 
     Args:
-        source: keypoints of the frame to locate, whose depth may be missing.
-        target: keypoints with depth of the frame to locate it in.
+        source: the frame to locate; the depth of its keypoints may be missing.
+        target: the frame to locate it in, by its keypoints with depth.
         guess: the motion as it is thought to be.
         params: parameters of tracking.
         sweep: motion of the source while it was read; None where it stood still.
         guess_known: whether the guess says where keypoints should lie.
     """
-    if source.depth.shape[0] == 0:
+    config, pair = params.config.features, (source.keypoints, target.keypoints)
+    if pair[0].depth.shape[0] == 0:
         # Features are switched off.
         nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
-        return FeatureRegistration(guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none)
-    matches, rows = _matched_rows(source, target, guess, params, sweep, guess_known)
-    start = _guess_or_rigid_motion(guess, source, rows, matches.similarity, params)
-    T = least_reprojection(start, rows, params)
-    inliers = _explained(T, rows, params, params.config.features.inlier_pixels)
+        return FeatureRegistration(
+            guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none, jnp.zeros((0, 2)), guess
+        )
+    matches, rows = _matched_rows(*pair, guess, params, sweep, guess_known)
+    start = _guess_or_rigid_motion(guess, pair[0], rows, matches.similarity, params)
+    T = as_detected = least_reprojection(start, rows, params)
+    if config.align_patches:
+        rows = with_aligned_places(T, rows, matches, source, target, params)
+        T = least_reprojection(T, rows, params)
+    inliers = _explained(T, rows, params, config.inlier_pixels)
     return FeatureRegistration(
         T,
         information(T, rows, params),
@@ -68,12 +77,14 @@ def motion_from_keypoints(
         inliers,
         num_matches=jnp.sum(rows.valid, dtype=jnp.int32),
         num_inliers=jnp.sum(inliers, dtype=jnp.int32),
+        pixels=rows.pixels,
+        T_as_detected=as_detected,
     )
 
 
 def with_derivatives(
-    source: Keypoints,
-    target: Keypoints,
+    source: FrameFeatures,
+    target: FrameFeatures,
     guess: jaxlie.SE3,
     params: TrackerParams,
     sweep: gicp.Sweep | None,
@@ -89,11 +100,18 @@ def with_derivatives(
         sweep: the same.
         found: the result, without derivatives.
     """
-    if source.depth.shape[0] == 0:
+    if source.keypoints.depth.shape[0] == 0:
         return found
-    _, rows = _matched_rows(source, target, guess, params, sweep, True)
-    T = newton_corrected(found.T_target_source, rows, params)
-    return eqx.tree_at(lambda f: (f.T_target_source, f.information), found, (T, information(T, rows, params)))
+    matches, rows = _matched_rows(source.keypoints, target.keypoints, guess, params, sweep, True)
+    T = as_detected = newton_corrected(found.T_as_detected, rows, params)
+    if params.config.features.align_patches:
+        rows = with_aligned_places(T, rows, matches, source, target, params, found.pixels)
+        T = newton_corrected(found.T_target_source, rows, params)
+    return eqx.tree_at(
+        lambda f: (f.T_target_source, f.information, f.pixels, f.T_as_detected),
+        found,
+        (T, information(T, rows, params), rows.pixels, as_detected),
+    )
 
 
 def _matched_rows(
@@ -126,8 +144,8 @@ def num_explained(
     sweep: gicp.Sweep | None = None,
 ) -> Int[Array, ""]:
     """Inliers that another motion explains too, counted."""
-    points, seen = target.points[matched.index], source.features.keypoints
-    rows = MatchedRows(points, seen, source.depth, matched.inliers, sweep)
+    points = target.points[matched.index]
+    rows = MatchedRows(points, matched.pixels, source.depth, matched.inliers, sweep)
     pixels = params.config.features.inlier_pixels
     return jnp.sum(_explained(T_target_source, rows, params, pixels), dtype=jnp.int32)
 

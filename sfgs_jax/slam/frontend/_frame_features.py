@@ -15,6 +15,7 @@ from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTim
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._depth_scatter import is_noise
 from sfgs_jax.slam.frontend._image_signature import image_signature
+from sfgs_jax.slam.frontend._patch_alignment import patch_factor
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
 from sfgs_jax.slam.state._tracker import TrackerParams, TrackingNoise
 from sfgs_jax.superfeats import Features, extract, extract_orb, load_weights, mean_grey
@@ -125,7 +126,10 @@ def frame_features(
     points = params.camera.unproject(features.keypoints, jnp.where(at > 0, at, 1))
     cloud = gicp.prepare(depth, params.camera, config=config.gicp)
     normals = _normals_at(cloud.levels[0], points)
-    return FrameFeatures(cloud, Keypoints(features, at, points, normals, image_signature(features)))
+    signature = image_signature(features)
+    keypoints = Keypoints(features, at, points, normals, signature, features.keypoints)
+    patches = _block_means(grey, patch_factor(params.camera.width))
+    return FrameFeatures(cloud, keypoints, patches if len(at) else jnp.zeros((0, 0), grey.dtype))
 
 
 def with_corrected_depth(params: TrackerParams, frame: Frame) -> Frame:
@@ -174,11 +178,8 @@ def _with_contrast(features: Features, grey: Float[Array, "H W"], least: float) 
     The test reaches no farther than the four blocks beside a keypoint's own. Beside the outline of a bare
     surface a detector finds artefacts, which move with the outline.
     """
-    height, width = grey.shape
-    rows, columns = height // _BLOCK, width // _BLOCK
-    # Rows are added up before columns, because sums along columns are vectorised.
-    strips = grey[: rows * _BLOCK, : columns * _BLOCK].reshape(rows, _BLOCK, -1).sum(axis=1)
-    means = strips.reshape(rows, columns, _BLOCK).sum(axis=-1) / _BLOCK**2
+    means = _block_means(grey, _BLOCK)
+    rows, columns = means.shape
     padded = jnp.pad(means, 1, mode="edge")
     # Even shading is no contrast, however steep.
     bends = jnp.maximum(
@@ -189,6 +190,14 @@ def _with_contrast(features: Features, grey: Float[Array, "H W"], least: float) 
     contrast = bends[jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1)]
     valid = features.valid & (contrast >= least)
     return Features(features.keypoints, features.scores, features.descriptors, valid)
+
+
+def _block_means(grey: Float[Array, "H W"], side: int) -> Float[Array, "h w"]:
+    height, width = grey.shape
+    rows, columns = height // side, width // side
+    # Rows are added up before columns, because sums along columns are vectorised.
+    strips = grey[: rows * side, : columns * side].reshape(rows, side, -1).sum(axis=1)
+    return strips.reshape(rows, columns, side).sum(axis=-1) / side**2
 
 
 def _normals_at(level: gicp.OrganisedLevel, points: Float[Array, "k 3"]) -> Float[Array, "k 3"]:

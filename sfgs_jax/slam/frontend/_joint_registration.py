@@ -104,8 +104,7 @@ def _register(
 ) -> Registration:
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
     source = source if sweep is None else _in_time(source, params, sweep.at(guess))
-    pair = source.keypoints, target.keypoints
-    matched = motion_from_keypoints(*pair, guess, params, sweep, guess_known=guess_known)
+    matched = motion_from_keypoints(source, target, guess, params, sweep, guess_known=guess_known)
     helpful, many = keypoints_help(matched, features), keypoints_are_many(matched, features)
     many_matches = matched.num_matches >= features.min_inliers_alone
     # So many matches show what the camera sees, and that no motion found explains it.
@@ -173,8 +172,7 @@ def found_again(
     """
     config, found = params.config, lax.stop_gradient(found)
     source = source if sweep is None else _in_time(source, params, sweep.at(guess))
-    pair = source.keypoints, target.keypoints
-    matched = with_derivatives(*pair, guess, params, sweep, found.matched)
+    matched = with_derivatives(source, target, guess, params, sweep, found.matched)
     T = start = _choose(keypoints_help(found.matched, config.features), matched.T_target_source, guess)
     if config.use_surface:
         surface = _align(params, source, target, matched, start, sweep, found.T_target_source)
@@ -187,7 +185,7 @@ def found_again(
 
 def _in_time(source: FrameFeatures, params: TrackerParams, moving: gicp.RowMotion) -> FrameFeatures:
     """The frame with the depth of its keypoints at the time that their pixels were read."""
-    return FrameFeatures(source.cloud, with_depth_in_time(source, params.camera, moving))
+    return replace(source, keypoints=with_depth_in_time(source, params.camera, moving))
 
 
 def _agree(

@@ -109,7 +109,7 @@ def recorrected(features: FrameFeatures, camera: Camera, change: DepthCorrection
         change: correction now minus correction before.
     """
     cloud = gicp.OrganisedCloud(tuple(_recorrected_level(level, change) for level in features.cloud.levels))
-    return FrameFeatures(cloud, _recorrected_keypoints(features.keypoints, camera, change))
+    return FrameFeatures(cloud, _recorrected_keypoints(features.keypoints, camera, change), features.grey)
 
 
 def _recorrected_level(level: gicp.OrganisedLevel, change: DepthCorrection) -> gicp.OrganisedLevel:

@@ -27,7 +27,7 @@ def rectified(features: FrameFeatures, camera: Camera, moving: gicp.RowMotion) -
     """
     cloud = gicp.OrganisedCloud(tuple(_rectified_level(level, moving) for level in features.cloud.levels))
     keypoints = with_depth_in_time(features, camera, moving)
-    return FrameFeatures(cloud, _rectified_keypoints(keypoints, camera, moving))
+    return FrameFeatures(cloud, _rectified_keypoints(keypoints, camera, moving), features.grey)
 
 
 def with_depth_in_time(features: FrameFeatures, camera: Camera, moving: gicp.RowMotion) -> Keypoints:

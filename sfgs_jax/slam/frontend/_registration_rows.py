@@ -148,7 +148,7 @@ def keypoint_rows(
         moving: motion of the source while it was read; None where it stood still or is rectified.
     """
     camera, config = params.camera, params.config.features
-    pixels = source.keypoints.features.keypoints
+    pixels = matched.pixels
     points = se3.transform(se3.inverse(T_target_source), target.keypoints.points[matched.index]).T
     points = jnp.where(matched.inliers[None], points, jnp.asarray([[0], [0], [1]], points.dtype))
     seen = points

@@ -9,6 +9,7 @@ The reference was rectified by the times as they were thought to be then, and mo
 enter: a delay, for example, shows where the camera does not move like it did in the reference.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -90,7 +91,7 @@ def timing_equations(
     Returns:
         Information, 1 / s², and right-hand side, 1 / s.
     """
-    source = FrameFeatures(source.cloud, with_depth_in_time(source, params.camera, moving))
+    source = replace(source, keypoints=with_depth_in_time(source, params.camera, moving))
     adjoint = se3.adjoint(se3.inverse(found.T_target_source))
     twist = jnp.matmul(adjoint, target_moving.twist, precision=Precision.HIGHEST)
     registered = _Registered(params, source, target, found, moving, twist)
@@ -138,6 +139,6 @@ def _keypoint_rows(registered: _Registered) -> _Rows:
         speed = rows.by_points(velocities(rows.points, twist) * share[None])
         return jnp.stack([jnp.zeros_like(speed), speed, jnp.zeros_like(speed)])
 
-    by_source = -by_times(source.keypoints.features.keypoints, moving.twist)
+    by_source = -by_times(matched.pixels, moving.twist)
     by_target = by_times(target.keypoints.features.keypoints[matched.index], twist)
     return _Rows(rows.residual, rows.pose, by_source, by_target, rows.weights)

@@ -11,8 +11,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
-from sfgs_jax.arrays import checked
-from sfgs_jax.geometry import se3
+from sfgs_jax.arrays import checked, dot
+from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._depth_scale import is_other_scale
@@ -139,6 +139,7 @@ def settle(
         relocalised: whether the frame was found by its looks; then its motion is unknown.
     """
     is_first, tracked = tracker.num_keyframes == 0, source != PoseSource.LOST
+    seen = _with_places(seen, found, source, params.camera)
     # A pose that rests on the motion model in part would pass its error on to every later frame.
     firm = (source != PoseSource.MOTION_MODEL) & ~jnp.asarray(relocalised)
     could_be_keyframe = tracked & seen.registrable & firm
@@ -165,6 +166,32 @@ def settle(
     )
     tracker = _push_if(new_keyframe, params, tracker, seen, motion, info.T_world_cam)
     return _remembered(tracker, seen, motion, found, tracked, could_be_keyframe & ~new_keyframe), info
+
+
+def _with_places(
+    seen: FrameFeatures, found: Registration, source: Int[Array, ""], camera: Camera
+) -> FrameFeatures:
+    """Features of a frame with its keypoints where its registration has found them.
+
+    So whoever is registered to the frame, and its landmarks, have the places of the keyframe before.
+    """
+    if seen.keypoints.depth.shape[0] == 0:
+        return seen
+    by_keypoints = (source == PoseSource.JOINT) | (source == PoseSource.KEYPOINTS)
+    keypoints, matched = seen.keypoints, found.matched
+    pixels = jnp.where((matched.inliers & by_keypoints)[:, None], matched.pixels, keypoints.places)
+    # The depth is that of the plane there.
+    once = jnp.ones_like(keypoints.depth)
+    rays, normals = camera.unproject(pixels, once).T, keypoints.normals.T
+    along, distance = dot(normals, rays), dot(normals, keypoints.points.T)
+    on_plane = (along < -0.1) & (keypoints.depth > 0)
+    depth = jnp.where(on_plane, distance / jnp.where(on_plane, along, 1), keypoints.depth)
+    points = camera.unproject(pixels, jnp.where(depth > 0, depth, 1))
+    return eqx.tree_at(
+        lambda s: (s.keypoints.features.keypoints, s.keypoints.depth, s.keypoints.points, s.keypoints.places),
+        seen,
+        (pixels, depth, points, pixels),
+    )
 
 
 def lost_unseen(tracker: Tracker, elapsed: float) -> Tracker:
@@ -319,7 +346,9 @@ def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_register_at, inputs, 0))
     # Derivatives are taken at these motions where nothing is tried: no motion has the quaternion 0.
     still = se3.identity(blank.T_target_source.wxyz_xyz.dtype)
-    blank = eqx.tree_at(lambda f: (f.T_target_source, f.matched.T_target_source), blank, (still, still))
+    blank = eqx.tree_at(
+        lambda f: (f.T_target_source, f.matched.T_target_source, f.matched.T_as_detected), blank, [still] * 3
+    )
     first = jnp.where(tracker.num_keyframes > 0, 0, 2 * _BY_LAST)
     count = jnp.where(tracker.has_last, 2 * _BY_LAST, _BY_LAST)
 

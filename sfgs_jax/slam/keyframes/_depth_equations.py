@@ -164,7 +164,7 @@ def _keypoint_rows(
     """Reprojection errors of the matches that the motion explains, with their derivatives, and weights."""
     T, matched, camera = found.T_target_source, found.matched, params.camera
     rows = keypoint_rows(params, source, target, T, matched)
-    pixels, seen = source.keypoints.features.keypoints, target.keypoints.points[matched.index]
+    pixels, seen = matched.pixels, target.keypoints.points[matched.index]
     turned = jnp.matmul(se3.rotation_matrix(T).T, seen.T, precision=Precision.HIGHEST)
     # The target's points move along their rays, and so does what is measured at the source's keypoints.
     along = jnp.sum(rows.at.point_jacobian * turned[None], axis=1)

@@ -5,6 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Event
 
+import equinox as eqx
 import jaxlie
 import numpy as np
 from jaxtyping import Float
@@ -188,8 +189,11 @@ def _registered(
     """A pair with its equations and as an edge, registered now unless tracking did."""
     target, source = (graph.keyframes[number] for number in pair)
     fixed, moving = features_in_use(params, target), features_in_use(params, source)
-    found = by_tracking
-    if found is None:
+    if by_tracking is not None:
+        # It was read row by row then; the keyframe is rectified.
+        pixels = moving.keypoints.features.keypoints
+        found = eqx.tree_at(lambda f: f.matched.pixels, by_tracking, pixels)
+    else:
         guess = se3.identity() if are_apart else _by_poses(graph, pair)
         found = register(params, moving, fixed, guess, guess_known=not are_apart)
     equations = pair_equations(params, moving, fixed, found)

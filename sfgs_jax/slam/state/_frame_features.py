@@ -16,6 +16,7 @@ class Keypoints(eqx.Module):
         points: (K, 3) camera coordinates, metres; on the image plane at 1 m where there is no depth.
         normals: (K, 3) of the surface there, unit vectors that face the camera; 0 where unknown.
         signature: (D,) descriptor of the whole image, of unit length; 0 without keypoints.
+        places: (K, 2) pixels (u, v) in the image as it was read, which a rectification leaves as they are.
     """
 
     features: Features
@@ -23,6 +24,7 @@ class Keypoints(eqx.Module):
     points: Float[Array, "k 3"]
     normals: Float[Array, "k 3"]
     signature: Float[Array, " d"]
+    places: Float[Array, "k 2"]
 
     @property
     def measured(self) -> Bool[Array, " k"]:
@@ -36,10 +38,12 @@ class FrameFeatures(eqx.Module):
     Attributes:
         cloud: depth pyramid with normals.
         keypoints: keypoints; no slots at all where they are switched off.
+        grey: (h, w) image as it was read, reduced for its patches; empty without keypoints.
     """
 
     cloud: gicp.OrganisedCloud
     keypoints: Keypoints
+    grey: Float[Array, "h w"]
 
     @property
     def registrable(self) -> Bool[Array, ""]:

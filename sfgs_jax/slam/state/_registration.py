@@ -41,6 +41,8 @@ class FeatureRegistration(eqx.Module):
         inliers: (K,) matches that the motion explains.
         num_matches: number of matches.
         num_inliers: number of inliers among them.
+        pixels: (K, 2) places of the source's keypoints, refined where the images around a match agree.
+        T_as_detected: the motion by the keypoints as they were detected.
     """
 
     T_target_source: jaxlie.SE3
@@ -49,6 +51,8 @@ class FeatureRegistration(eqx.Module):
     inliers: Bool[Array, " k"]
     num_matches: Int[Array, ""]
     num_inliers: Int[Array, ""]
+    pixels: Float[Array, "k 2"]
+    T_as_detected: jaxlie.SE3
 
 
 class Registration(eqx.Module):
