@@ -93,6 +93,7 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     features = replace(
         settings.features,
         match_weights="learned",
+        align_patches=True,
         max_iterations=100,
         tolerance=1e-13,
         patch_steps=200,

@@ -128,8 +128,9 @@ def frame_features(
     normals = _normals_at(cloud.levels[0], points)
     signature = image_signature(features)
     keypoints = Keypoints(features, at, points, normals, signature, features.keypoints)
-    patches = _block_means(grey, patch_factor(params.camera.width))
-    return FrameFeatures(cloud, keypoints, patches if len(at) else jnp.zeros((0, 0), grey.dtype))
+    with_patches = config.features.align_patches and len(at)
+    factor, none = patch_factor(params.camera.width), jnp.zeros((0, 0), grey.dtype)
+    return FrameFeatures(cloud, keypoints, _block_means(grey, factor) if with_patches else none)
 
 
 def with_corrected_depth(params: TrackerParams, frame: Frame) -> Frame:

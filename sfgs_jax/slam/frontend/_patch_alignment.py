@@ -28,7 +28,7 @@ _RELAXATION = 0.8
 """Share of a Gauss-Newton step. Where the source is sharper than the target, whole steps overshoot."""
 _AT_REST = 0.1
 """Length of the last step, pixels, above which no place was found."""
-_SLOWEST = 0.8
+_SLOWEST = 0.9
 """Length of the last step as a share of the one before, above which its place is told by next to nothing."""
 _LEAST_GAIN = 0.3
 """Least contrast of a patch as a share of the other's."""
@@ -38,7 +38,7 @@ class PatchPairs(NamedTuple):
     """Patches of two images around matched keypoints, the source's upright, the target's as it sees the same.
 
     Attributes:
-        source: (h, w) grey image, from `patch_image`.
+        source: (h, w) grey image, reduced by `patch_factor`.
         target: (h, w) likewise.
         places: (2, K) of the source's keypoints there.
         target_places: (2, K) of the target's.

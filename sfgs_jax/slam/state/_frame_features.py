@@ -38,7 +38,7 @@ class FrameFeatures(eqx.Module):
     Attributes:
         cloud: depth pyramid with normals.
         keypoints: keypoints; no slots at all where they are switched off.
-        grey: (h, w) image as it was read, reduced for its patches; empty without keypoints.
+        grey: (h, w) image as it was read, reduced for its patches; empty where matches are left as they were detected.
     """
 
     cloud: gicp.OrganisedCloud
