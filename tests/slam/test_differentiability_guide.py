@@ -106,7 +106,11 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     params = slam.tracker_params(examples["recording"].camera, settings, known)
     # NumPy's arrays: in JAX's, each operation that prepares them is one more program to compile.
     lens = np.asarray([0.02, -0.01, 0.001, -0.002, 0.005])
-    *inputs, tracker = in_float64((params, *examples["inputs"][1:], lens, examples["tracker"]))
+    # The example's tracker, with room for the images of patches.
+    image = np.zeros(examples["inputs"][1].shape[1:3], np.float32)
+    rings = np.zeros((settings.num_references, *image.shape), np.float32), image
+    tracker = eqx.tree_at(lambda t: (t.references.grey, t.last.grey), examples["tracker"], rings)
+    *inputs, tracker = in_float64((params, *examples["inputs"][1:], lens, tracker))
 
     @eqx.filter_jit
     def pose_and_rate(inputs, rates, tracker):

@@ -38,7 +38,7 @@ class FrameFeatures(eqx.Module):
     Attributes:
         cloud: depth pyramid with normals.
         keypoints: keypoints; no slots at all where they are switched off.
-        grey: (h, w) image as it was read, reduced for its patches; empty where matches are left as they were detected.
+        grey: (h, w) image as it was read, reduced for its patches; empty where none are compared.
     """
 
     cloud: gicp.OrganisedCloud
