@@ -2,9 +2,9 @@
 
     python -m experiments.keypoint_places [--gaps 2 5]
 
-Synthetic recordings at 320x240, whose truth says where a keypoint of one frame lies in another. Of the
-matches that a registration explains: deviations along both axes by the median, the mean, and the share that
-is more than 2 pixels off. The registration starts from the true motion.
+Synthetic recordings at 320x240 have a truth: it says where a keypoint of one frame lies in another. The
+table is of the matches that a registration explains, which starts from the true motion. It has deviations
+along both axes by the median, the mean, and the share that is more than 2 pixels off.
 """
 
 import argparse
@@ -37,7 +37,7 @@ FAR = 2.0
 
 
 class Truth:
-    """Where the pixels of one frame are in another."""
+    """Says which pixel of one frame shows what a pixel of another does."""
 
     def __init__(self, recording: SyntheticRecording) -> None:
         """Of a recording."""

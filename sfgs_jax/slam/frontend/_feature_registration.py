@@ -41,9 +41,9 @@ def motion_from_keypoints(
     if that explains most of the matches. Otherwise a rigid motion that lays the matched points on
     each other is tried, by graduated non-convexity; it needs depth in both frames. Then Gauss-Newton with a
     Geman-McClure kernel minimises the reprojection error of the target's points. That is an error of pixels
-    and, where the source has depth, of inverse depth. By that motion the target's patches are laid over the
-    source's: matches get the places at which they look alike, and those that don't are left out. The motion
-    is found anew.
+    and, where the source has depth, of inverse depth. With `FeaturesConfig.align_patches` that motion lays
+    the target's patches over the source's. Matches get the places at which they look alike, and those that
+    don't are left out. The motion is found anew.
 
     The motion is differentiable by the implicit function theorem; with learned weights also with respect to
     descriptors and scores. Which keypoints match, and where the iterations start, has no derivative.

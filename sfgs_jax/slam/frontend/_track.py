@@ -139,7 +139,8 @@ def settle(
         relocalised: whether the frame was found by its looks; then its motion is unknown.
     """
     is_first, tracked = tracker.num_keyframes == 0, source != PoseSource.LOST
-    seen = _with_places(seen, found, source, params.camera)
+    if params.config.features.align_patches:
+        seen = _with_places(seen, found, source, params.camera)
     # A pose that rests on the motion model in part would pass its error on to every later frame.
     firm = (source != PoseSource.MOTION_MODEL) & ~jnp.asarray(relocalised)
     could_be_keyframe = tracked & seen.registrable & firm
