@@ -16,6 +16,7 @@ from sfgs_jax.sensors._exposure import with_gain as with_gain
 from sfgs_jax.sensors._exposure_file import EXPOSURE_FILE as EXPOSURE_FILE
 from sfgs_jax.sensors._exposure_file import format_gains as format_gains
 from sfgs_jax.sensors._exposure_file import read_gains as read_gains
+from sfgs_jax.sensors._frame_clock import FrameClock as FrameClock
 from sfgs_jax.sensors._lens import undistorted as undistorted
 from sfgs_jax.sensors._model import SensorModel as SensorModel
 from sfgs_jax.sensors._outlines import Outlines as Outlines

@@ -44,19 +44,18 @@ def find_pose(state: SlamState, frame: Frame, number: int) -> FoundFrame:
         frame: the next frame.
         number: its number in its source.
     """
-    params, graph, time = state.params, state.graph, float(frame.timestamp)
-    since = time - state.last_timestamp
-    before = state.tracker
-    tracked = begin_tracking(params, before, frame, since)
+    params, graph = state.params, state.graph
+    before, clock = state.tracker, state.clock.after(float(frame.timestamp))
+    tracked = begin_tracking(params, before, frame, clock.elapsed)
     # In the time that it takes.
     synchrony = watched(state.synchrony, frame, params.config.max_depth_lag)
-    state = replace(state, synchrony=synchrony, next_frame=number + 1, last_timestamp=time)
+    state = replace(state, synchrony=synchrony, next_frame=number + 1, clock=clock)
     if lag := synchrony.lag:
         told = f"Depth comes {abs(lag)} frames {'late' if lag > 0 else 'early'} against colour."
-        return _lost(state, lost_unseen(before, since), told)
+        return _lost(state, lost_unseen(before, clock.elapsed), told)
     if state.graph.focal.is_beyond(params.config.max_focal_error):
-        return _lost(state, lost_unseen(before, since), _wrong_focal_lengths(state))
-    found = find_frame(params, before, tracked, frame, since, graph, state.config.graph)
+        return _lost(state, lost_unseen(before, clock.elapsed), _wrong_focal_lengths(state))
+    found = find_frame(params, before, tracked, frame, clock.elapsed, graph, state.config.graph)
     found = revisited(params, found, graph, state.config.graph)
     info = _info(found)
     if not info.tracked:
@@ -64,7 +63,7 @@ def find_pose(state: SlamState, frame: Frame, number: int) -> FoundFrame:
     covariance = _covariance(state, found)
     begins = found.begins_map or not graph.keyframes
     if not begins and np.sqrt(np.trace(covariance[:3, :3])) > params.config.max_position_sigma:
-        return _lost(state, lost_unseen(before, since), "", info)
+        return _lost(state, lost_unseen(before, clock.elapsed), "", info)
     return FoundFrame(replace(state, tracker=found.tracker), found, info, covariance)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from sfgs_jax.arrays import checked_but
 from sfgs_jax.geometry import Camera, require_camera
-from sfgs_jax.sensors import SensorModel, block_means
+from sfgs_jax.sensors import FrameClock, SensorModel, block_means
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import depth_parameters_in_use, estimated_timing, init_tracker, tracker_params
 from sfgs_jax.slam.keyframes import prior_noise
@@ -54,7 +54,7 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
         ),
         log=empty_log(),
         next_frame=0,
-        last_timestamp=float("nan"),
+        clock=FrameClock(),
         last_view=0,
         last_look=block_means(np.zeros((*camera.shape, 3), np.float32)),
         synchrony=empty_synchrony(camera),

@@ -8,6 +8,7 @@ import numpy as np
 
 from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry import same_camera
+from sfgs_jax.sensors import FrameClock
 from sfgs_jax.slam._graph_results import finish, with_graph
 from sfgs_jax.slam._new_session import lost, same_but_refinement
 from sfgs_jax.slam.frontend import estimated_timing
@@ -104,7 +105,7 @@ def _joined(a: SlamState, b: SlamState) -> SlamState:
         mapping=joined_views(a.mapping, b.mapping, shift),
         log=_joined_logs(a.log, b.log, first, shift),
         next_frame=b.next_frame + shift,
-        last_timestamp=float("nan"),
+        clock=FrameClock(),
         last_view=b.last_view + shift,
         last_look=b.last_look,
         num_lost=a.num_lost + b.num_lost,

@@ -8,6 +8,7 @@ import numpy as np
 
 from sfgs_jax.arrays import InputError, checked
 from sfgs_jax.geometry import HELD_OUT_EVERY
+from sfgs_jax.sensors import FrameClock
 from sfgs_jax.slam._graph_results import finish
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import without_pose
@@ -47,7 +48,7 @@ def new_session(state: SlamState, config: SlamConfig | None = None) -> SlamState
         mapping=replace(state.mapping, views=views),
         log=empty_log(),
         next_frame=0,
-        last_timestamp=float("nan"),
+        clock=FrameClock(),
         last_view=state.last_view - earlier,
         synchrony=empty_synchrony(state.camera),
         num_lost=0,

@@ -1,5 +1,7 @@
 """Motion between two frames by their matched keypoints."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import jaxlie
@@ -17,6 +19,7 @@ from sfgs_jax.slam.frontend._least_reprojection import (
     newton_corrected,
     row_residuals,
 )
+from sfgs_jax.slam.frontend._rectification import on_their_planes, with_depth_in_time
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -49,25 +52,28 @@ def motion_from_keypoints(
     descriptors and scores. Which keypoints match, and where the iterations start, has no derivative.
 
     Args:
-        source: the frame to locate; the depth of its keypoints may be missing.
+        source: the frame to locate, as it was read if it has a sweep; the depth of its keypoints may be
+            missing.
         target: the frame to locate it in, by its keypoints with depth.
         guess: the motion as it is thought to be.
         params: parameters of tracking.
         sweep: motion of the source while it was read; None where it stood still.
         guess_known: whether the guess says where keypoints should lie.
     """
-    config, pair = params.config.features, (source.keypoints, target.keypoints)
-    if pair[0].depth.shape[0] == 0:
+    config = params.config.features
+    if source.keypoints.depth.shape[0] == 0:
         # Features are switched off.
         nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
         return FeatureRegistration(
             guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none, jnp.zeros((0, 2)), guess
         )
-    matches, rows = _matched_rows(*pair, guess, params, sweep, guess_known)
-    start = _guess_or_rigid_motion(guess, pair[0], rows, matches.similarity, params)
+    seen = keypoints_in_time(source, params, sweep, guess)
+    matches, rows = _matched_rows(seen, target.keypoints, guess, params, sweep, guess_known)
+    start = _guess_or_rigid_motion(guess, seen, rows, matches.similarity, params)
     T = as_detected = least_reprojection(start, rows, params)
     if config.align_patches:
         rows = with_aligned_places(T, rows, matches, source, target, params)
+        rows = rows._replace(depth=keypoints_in_time(source, params, sweep, T, rows.pixels).depth)
         T = least_reprojection(T, rows, params)
     inliers = _explained(T, rows, params, config.inlier_pixels)
     return FeatureRegistration(
@@ -102,16 +108,41 @@ def with_derivatives(
     """
     if source.keypoints.depth.shape[0] == 0:
         return found
-    matches, rows = _matched_rows(source.keypoints, target.keypoints, guess, params, sweep, True)
+    seen = keypoints_in_time(source, params, sweep, guess)
+    matches, rows = _matched_rows(seen, target.keypoints, guess, params, sweep, True)
     T = as_detected = newton_corrected(found.T_as_detected, rows, params)
     if params.config.features.align_patches:
         rows = with_aligned_places(T, rows, matches, source, target, params, found.pixels)
+        rows = rows._replace(depth=keypoints_in_time(source, params, sweep, T, rows.pixels).depth)
         T = newton_corrected(found.T_target_source, rows, params)
     return eqx.tree_at(
         lambda f: (f.T_target_source, f.information, f.pixels, f.T_as_detected),
         found,
         (T, information(T, rows, params), rows.pixels, as_detected),
     )
+
+
+def keypoints_in_time(
+    source: FrameFeatures,
+    params: TrackerParams,
+    sweep: gicp.Sweep | None,
+    T_target_source: jaxlie.SE3,
+    pixels: Float[Array, "k 2"] | None = None,
+) -> Keypoints:
+    """Keypoints of a frame with the depth that their surfaces had when their pixels were read.
+
+    Args:
+        source: the frame, as it was read if it has a sweep.
+        params: parameters of tracking.
+        sweep: as of `motion_from_keypoints`.
+        T_target_source: the motion that says how the camera moved.
+        pixels: where they are, if patches have told.
+    """
+    if pixels is not None:
+        source = replace(source, keypoints=on_their_planes(source.keypoints, pixels, params.camera))
+    if sweep is None:
+        return source.keypoints
+    return with_depth_in_time(source, params.camera, sweep.at(T_target_source))
 
 
 def _matched_rows(

@@ -18,6 +18,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._depth_scale import depth_scale_change, is_other_scale, is_same_scale
 from sfgs_jax.slam.frontend._feature_registration import (
+    keypoints_in_time,
     motion_from_keypoints,
     num_explained,
     with_derivatives,
@@ -31,7 +32,6 @@ from sfgs_jax.slam.frontend._pose_source import (
     rests_on_surface,
     surface_fits,
 )
-from sfgs_jax.slam.frontend._rectification import with_depth_in_time
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import FeatureRegistration, PoseSource, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -103,13 +103,13 @@ def _register(
     guess_known: Bool[Array, ""] | bool,
 ) -> Registration:
     config, features, allowed = params.config, params.config.features, allowed or Allowed()
-    source = source if sweep is None else _in_time(source, params, sweep.at(guess))
     matched = motion_from_keypoints(source, target, guess, params, sweep, guess_known=guess_known)
     helpful, many = keypoints_help(matched, features), keypoints_are_many(matched, features)
     many_matches = matched.num_matches >= features.min_inliers_alone
     # So many matches show what the camera sees, and that no motion found explains it.
     denied = matched.num_matches >= _DENYING * features.min_inliers_alone
     start = _choose(helpful, matched.T_target_source, guess)
+    source = _as_matched(source, params, sweep, matched, start)
     if not config.use_surface:
         scale = _scale(params, source, target, start, matched, sweep)
         same_scale = _believed(*scale, allowed, config)
@@ -171,7 +171,6 @@ def found_again(
         found: the result of `register`, which pose was believed.
     """
     config, found = params.config, lax.stop_gradient(found)
-    source = source if sweep is None else _in_time(source, params, sweep.at(guess))
     matched = with_derivatives(source, target, guess, params, sweep, found.matched)
     T = start = _choose(keypoints_help(found.matched, config.features), matched.T_target_source, guess)
     if config.use_surface:
@@ -183,9 +182,17 @@ def found_again(
     return eqx.tree_at(lambda f: (f.T_target_source, f.matched), found, (T, matched))
 
 
-def _in_time(source: FrameFeatures, params: TrackerParams, moving: gicp.RowMotion) -> FrameFeatures:
-    """The frame with the depth of its keypoints at the time that their pixels were read."""
-    return replace(source, keypoints=with_depth_in_time(source, params.camera, moving))
+def _as_matched(
+    source: FrameFeatures,
+    params: TrackerParams,
+    sweep: gicp.Sweep | None,
+    matched: FeatureRegistration,
+    T_target_source: jaxlie.SE3,
+) -> FrameFeatures:
+    """The frame with its keypoints where they were found, at the depth of the time that they were read."""
+    pixels = matched.pixels if params.config.features.align_patches else None
+    found = keypoints_in_time(source, params, sweep, T_target_source, pixels)
+    return replace(source, keypoints=found)
 
 
 def _agree(

@@ -81,7 +81,7 @@ class Found(NamedTuple):
 
 
 def begin_tracking(
-    params: TrackerParams, tracker: Tracker, frame: Frame, since: float
+    params: TrackerParams, tracker: Tracker, frame: Frame, elapsed: float
 ) -> tuple[Tracker, TrackInfo]:
     """Take the first step of the ladder; its results are under way.
 
@@ -89,14 +89,10 @@ def begin_tracking(
         params: parameters of tracking.
         tracker: before the frame.
         frame: colour image and depth.
-        since: seconds since the frame before; not positive or not finite if unknown.
+        elapsed: seconds since the frame before, 0 if unknown.
     """
     keypoints = host_keypoints(params, frame)
-    return track(params, tracker, mean_grey(frame.rgb), frame.depth, _elapsed(since), keypoints)
-
-
-def _elapsed(since: float) -> np.float32:
-    return np.float32(since if 0 < since < np.inf else 0)
+    return track(params, tracker, mean_grey(frame.rgb), frame.depth, np.float32(elapsed), keypoints)
 
 
 def find_frame(
@@ -104,7 +100,7 @@ def find_frame(
     tracker: Tracker,
     tracked: tuple[Tracker, TrackInfo],
     frame: Frame,
-    since: float,
+    elapsed: float,
     graph: KeyframeGraph,
     config: GraphConfig,
 ) -> Found:
@@ -115,16 +111,16 @@ def find_frame(
         tracker: before the frame.
         tracked: what its first step found, by `begin_tracking`.
         frame: colour image and depth.
-        since: seconds since the frame before; not positive or not finite if unknown.
+        elapsed: seconds since the frame before, 0 if unknown.
         graph: keyframes to look in.
         config: settings of relocalisation.
     """
-    elapsed, (after, info) = _elapsed(since), tracked
+    after, info = tracked
     if int(info.source) != PoseSource.LOST:
         return Found(after, info)
     if not graph.keyframes:
         return Found(after, info)
-    place_of, suspicion = relocalise(params, after, info.features, graph, config, seconds=float(elapsed))
+    place_of, suspicion = relocalise(params, after, info.features, graph, config, seconds=elapsed)
     place_of = place_of or search_by_surface(params, tracker, info.features)
     if place_of is not None:
         return Found(*place(params, after, info.features, place_of), by_looks=place_of.relocalised)

@@ -59,6 +59,23 @@ def with_depth_in_time(features: FrameFeatures, camera: Camera, moving: gicp.Row
     return replace(keypoints, depth=depth, points=points)
 
 
+def on_their_planes(keypoints: Keypoints, pixels: Float[Array, "k 2"], camera: Camera) -> Keypoints:
+    """Keypoints at other pixels of their image, at the depth of their surfaces there.
+
+    Args:
+        keypoints: where they were detected; one without a normal keeps its depth.
+        pixels: (u, v) where they are.
+        camera: intrinsics.
+    """
+    rays, normals = camera.unproject(pixels, jnp.ones_like(keypoints.depth)).T, keypoints.normals.T
+    along, distance = dot(normals, rays), dot(normals, keypoints.points.T)
+    on_plane = (along < -0.1) & (keypoints.depth > 0)
+    depth = jnp.where(on_plane, distance / jnp.where(on_plane, along, 1), keypoints.depth)
+    points = camera.unproject(pixels, jnp.where(depth > 0, depth, 1))
+    features = replace(keypoints.features, keypoints=pixels)
+    return replace(keypoints, features=features, depth=depth, points=points)
+
+
 def _depth_along(
     level: gicp.OrganisedLevel,
     camera: Camera,

@@ -1,5 +1,6 @@
 """Tracking of a frame: one pure function from images to a pose, compiled once per image size."""
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -11,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
-from sfgs_jax.arrays import checked, dot
+from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Camera, se3
 from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.config import TrackingConfig
@@ -19,7 +20,7 @@ from sfgs_jax.slam.frontend._depth_scale import is_other_scale
 from sfgs_jax.slam.frontend._frame_features import feature_shapes, frame_features
 from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, found_again, register
 from sfgs_jax.slam.frontend._keyframe_choice import needs_keyframe, runs_out_of_keypoints
-from sfgs_jax.slam.frontend._rectification import rectified
+from sfgs_jax.slam.frontend._rectification import on_their_planes, rectified
 from sfgs_jax.slam.frontend._timing_estimate import timing_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import PoseSource, Registration
@@ -181,18 +182,7 @@ def _with_places(
     by_keypoints = (source == PoseSource.JOINT) | (source == PoseSource.KEYPOINTS)
     keypoints, matched = seen.keypoints, found.matched
     pixels = jnp.where((matched.inliers & by_keypoints)[:, None], matched.pixels, keypoints.places)
-    # The depth is that of the plane there.
-    once = jnp.ones_like(keypoints.depth)
-    rays, normals = camera.unproject(pixels, once).T, keypoints.normals.T
-    along, distance = dot(normals, rays), dot(normals, keypoints.points.T)
-    on_plane = (along < -0.1) & (keypoints.depth > 0)
-    depth = jnp.where(on_plane, distance / jnp.where(on_plane, along, 1), keypoints.depth)
-    points = camera.unproject(pixels, jnp.where(depth > 0, depth, 1))
-    return eqx.tree_at(
-        lambda s: (s.keypoints.features.keypoints, s.keypoints.depth, s.keypoints.points, s.keypoints.places),
-        seen,
-        (pixels, depth, points, pixels),
-    )
+    return replace(seen, keypoints=replace(on_their_planes(keypoints, pixels, camera), places=pixels))
 
 
 def lost_unseen(tracker: Tracker, elapsed: float) -> Tracker:
@@ -200,9 +190,8 @@ def lost_unseen(tracker: Tracker, elapsed: float) -> Tracker:
 
     Args:
         tracker: before the frame.
-        elapsed: seconds since the frame before; not positive or not finite if unknown.
+        elapsed: seconds since the frame before, 0 if unknown.
     """
-    elapsed = elapsed if 0 < elapsed < np.inf else 0
     since, lost = np.asarray(tracker.since_tracked), np.asarray(tracker.lost_in_a_row)
     after = np.asarray(since + elapsed, since.dtype), np.asarray(lost + 1, lost.dtype), np.asarray(False)
     return eqx.tree_at(

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
 from sfgs_jax.geometry import Camera, Trajectory, se3
+from sfgs_jax.sensors import FrameClock
 from sfgs_jax.slam.config import MappingConfig, SlamConfig
 from sfgs_jax.slam.state._frame_log import FrameLog, covariances_of, trajectory_of
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
@@ -31,7 +32,7 @@ class SlamState:
         mapping: the map and its views.
         log: poses of the tracked frames.
         next_frame: number that the next frame gets if its source gives none.
-        last_timestamp: seconds, of the newest frame; NaN before the first.
+        clock: of the frames, by their time stamps.
         last_view: number of the newest frame that became a view of the map.
         last_look: (h, w, 3) mean colours of the newest tracked frame, by blocks; see `sensors.block_means`.
         synchrony: what the newest frames say about the time between depth and colour.
@@ -45,7 +46,7 @@ class SlamState:
     mapping: MapState
     log: FrameLog
     next_frame: int
-    last_timestamp: float
+    clock: FrameClock
     last_view: int
     last_look: Float[np.ndarray, "h w 3"]
     synchrony: Synchrony
@@ -76,6 +77,11 @@ class SlamState:
         """Times of the camera's rows as estimated, in the order of `SensorTiming`; None if they are not."""
         timed = self.config.tracking.estimate_timing
         return self.tracker.last_motion.timing.on_host() if timed else None
+
+    @property
+    def last_timestamp(self) -> float:
+        """Time stamp of the newest frame, seconds; NaN before the first."""
+        return self.clock.stamp if self.clock.count else float("nan")
 
     @property
     def T_world_cam(self) -> jaxlie.SE3:
