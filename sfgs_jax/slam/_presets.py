@@ -1,13 +1,15 @@
 """Settings that suit each kind of recording; every one can be overridden on the command line."""
 
-from sfgs_jax.slam.config import MappingConfig, SeedingConfig, SlamConfig, TrackingConfig
+from sfgs_jax.slam.config import FeaturesConfig, MappingConfig, SeedingConfig, SlamConfig, TrackingConfig
 
 _KINECT = SlamConfig(
-    tracking=TrackingConfig(estimate_timing=True, estimate_depth=True),
+    tracking=TrackingConfig(
+        features=FeaturesConfig(align_patches=False), estimate_timing=True, estimate_depth=True
+    ),
     mapping=MappingConfig(seeding=SeedingConfig(max_depth=5.0)),
 )
 """A Kinect's depth is noise beyond five metres or so, and distorted. Its rows are not exposed at once
-(`experiments.sensors`)."""
+(`experiments.sensors`), and images are blurred, by which patches lose (`experiments/results.md`)."""
 
 PRESETS: dict[str, SlamConfig] = {
     "tum": _KINECT,

@@ -1,7 +1,5 @@
 """Motion between two frames by their matched keypoints."""
 
-from dataclasses import replace
-
 import equinox as eqx
 import jax.numpy as jnp
 import jaxlie
@@ -19,7 +17,7 @@ from sfgs_jax.slam.frontend._least_reprojection import (
     newton_corrected,
     row_residuals,
 )
-from sfgs_jax.slam.frontend._rectification import on_their_planes, with_depth_in_time
+from sfgs_jax.slam.frontend._rectification import with_depth_in_time
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -73,7 +71,7 @@ def motion_from_keypoints(
     T = as_detected = least_reprojection(start, rows, params)
     if config.align_patches:
         rows = with_aligned_places(T, rows, matches, source, target, params)
-        rows = rows._replace(depth=keypoints_in_time(source, params, sweep, T, rows.pixels).depth)
+        rows = rows._replace(depth=keypoints_in_time(source, params, sweep, T).depth)
         T = least_reprojection(T, rows, params)
     inliers = _explained(T, rows, params, config.inlier_pixels)
     return FeatureRegistration(
@@ -113,7 +111,7 @@ def with_derivatives(
     T = as_detected = newton_corrected(found.T_as_detected, rows, params)
     if params.config.features.align_patches:
         rows = with_aligned_places(T, rows, matches, source, target, params, found.pixels)
-        rows = rows._replace(depth=keypoints_in_time(source, params, sweep, T, rows.pixels).depth)
+        rows = rows._replace(depth=keypoints_in_time(source, params, sweep, T).depth)
         T = newton_corrected(found.T_target_source, rows, params)
     return eqx.tree_at(
         lambda f: (f.T_target_source, f.information, f.pixels, f.T_as_detected),
@@ -127,7 +125,6 @@ def keypoints_in_time(
     params: TrackerParams,
     sweep: gicp.Sweep | None,
     T_target_source: jaxlie.SE3,
-    pixels: Float[Array, "k 2"] | None = None,
 ) -> Keypoints:
     """Keypoints of a frame with the depth that their surfaces had when their pixels were read.
 
@@ -136,10 +133,7 @@ def keypoints_in_time(
         params: parameters of tracking.
         sweep: as of `motion_from_keypoints`.
         T_target_source: the motion that says how the camera moved.
-        pixels: where they are, if patches have told.
     """
-    if pixels is not None:
-        source = replace(source, keypoints=on_their_planes(source.keypoints, pixels, params.camera))
     if sweep is None:
         return source.keypoints
     return with_depth_in_time(source, params.camera, sweep.at(T_target_source))

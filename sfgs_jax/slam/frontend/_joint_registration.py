@@ -109,7 +109,7 @@ def _register(
     # So many matches show what the camera sees, and that no motion found explains it.
     denied = matched.num_matches >= _DENYING * features.min_inliers_alone
     start = _choose(helpful, matched.T_target_source, guess)
-    source = _as_matched(source, params, sweep, matched, start)
+    source = replace(source, keypoints=keypoints_in_time(source, params, sweep, start))
     if not config.use_surface:
         scale = _scale(params, source, target, start, matched, sweep)
         same_scale = _believed(*scale, allowed, config)
@@ -180,19 +180,6 @@ def found_again(
         T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
         T = _choose(found.source == PoseSource.KEYPOINTS, start, T)
     return eqx.tree_at(lambda f: (f.T_target_source, f.matched), found, (T, matched))
-
-
-def _as_matched(
-    source: FrameFeatures,
-    params: TrackerParams,
-    sweep: gicp.Sweep | None,
-    matched: FeatureRegistration,
-    T_target_source: jaxlie.SE3,
-) -> FrameFeatures:
-    """The frame with its keypoints where they were found, at the depth of the time that they were read."""
-    pixels = matched.pixels if params.config.features.align_patches else None
-    found = keypoints_in_time(source, params, sweep, T_target_source, pixels)
-    return replace(source, keypoints=found)
 
 
 def _agree(
