@@ -3,20 +3,21 @@
 from sfgs_jax.slam.config import FeaturesConfig, MappingConfig, SeedingConfig, SlamConfig, TrackingConfig
 
 _KINECT = SlamConfig(
-    tracking=TrackingConfig(
-        features=FeaturesConfig(align_patches=False), estimate_timing=True, estimate_depth=True
-    ),
+    tracking=TrackingConfig(estimate_timing=True, estimate_depth=True),
     mapping=MappingConfig(seeding=SeedingConfig(max_depth=5.0)),
 )
 """A Kinect's depth is noise beyond five metres or so, and distorted. Its rows are not exposed at once
-(`experiments.sensors`), and images are blurred, by which patches lose (`experiments/results.md`)."""
+(`experiments.sensors`)."""
+
+_RENDERED = SlamConfig(tracking=TrackingConfig(features=FeaturesConfig(align_patches=True)))
+"""Rendered images are sharp (`experiments/results.md`, places by patches)."""
 
 PRESETS: dict[str, SlamConfig] = {
     "tum": _KINECT,
     "7scenes": _KINECT,
     "scannet": _KINECT,
-    "replica": SlamConfig(),
-    "icl_nuim": SlamConfig(),
+    "replica": _RENDERED,
+    "icl_nuim": _RENDERED,
     "stray": SlamConfig(),
     "record3d": SlamConfig(),
     "nerfstudio": SlamConfig(),
@@ -27,6 +28,6 @@ PRESETS: dict[str, SlamConfig] = {
     "rosbag": SlamConfig(),
     "video": SlamConfig(),
     "folder": SlamConfig(),
-    "synthetic": SlamConfig(),
+    "synthetic": _RENDERED,
 }
 """Preset by dataset name."""
