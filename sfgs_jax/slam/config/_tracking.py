@@ -43,7 +43,7 @@ class FeaturesConfig:
     """Largest distance between the points of a match under the rigid motion, metres."""
     align_patches: bool = False
     """Whether matches get the places at which the images around them look alike, to a tenth of a pixel. Sharp
-    images gain by patches. Where images are blurred, or far apart, too few matches are left."""
+    images gain by patches. Blurred ones, or images far apart, keep too few matches."""
     min_patch_agreement: float = 0.8
     """Least correlation of the images around the keypoints of a match, as the motion by all matches lays them
     over each other. Below it they show different things that look alike."""
