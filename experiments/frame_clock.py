@@ -2,9 +2,9 @@
 
     python -m experiments.frame_clock
 
-Recordings as they are, and with stamps that jitter. Where rows are not exposed at once, the motion while an
-image was read comes from the motion between two frames, divided by their interval. Excess is how far what
-frames say about the times of the rows contradicts itself, 1 if they are as exact as they claim.
+Recordings as they are, and with stamps that jitter. Rows that are not exposed at once move by the motion
+between two frames, divided by their interval. Excess says how far the frames contradict each other about the
+times of the rows; it is 1 if they are as exact as they claim.
 """
 
 import argparse

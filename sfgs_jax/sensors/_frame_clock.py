@@ -1,7 +1,7 @@
 """The clock that a camera takes its frames by, from time stamps that jitter.
 
 A sensor exposes its frames at even intervals. A driver stamps them when they arrive, some milliseconds early
-or late, so a motion divided by the time between two stamps is off by as much as a tenth.
+or late. A motion divided by the time between two stamps is then off by as much as a tenth.
 
 Source: Olson, A Passive Solution to the Sensor Synchronization Problem (IROS 2010), for the model; the period
 is a straight line's slope by least squares, over all stamps first, then with a memory that fades.
@@ -16,8 +16,8 @@ _MEMORY = 30
 _OUT_OF_STEP = 0.3
 """Distance of a stamp from the clock, as a share of the period, beyond which the clock begins anew."""
 _CONFIRMED = 10
-"""Stamps in step from which on the clock is believed. Of intervals that are uneven in truth few stay so long
-in step, and then stamps are believed themselves."""
+"""Stamps in step from which on the clock is believed; before, the stamps are. Intervals that are uneven in
+truth seldom stay in step for so long."""
 
 
 @pytree
