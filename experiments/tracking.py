@@ -37,14 +37,14 @@ def with_features(kind: str) -> SlamConfig:
 
 
 BLIND = replace(TRACKING.features, guidance=0.0)
-ALIGNED = replace(TRACKING.features, align_patches=True)
+AS_DETECTED = replace(TRACKING.features, align_patches=False)
 VARIANTS = {
     "whole system": WHOLE,
     "ORB for SuperFeats": with_features("orb"),
     "GICP alone": with_features("none"),
     "keypoints alone": replace(WHOLE, tracking=replace(TRACKING, use_surface=False)),
     "without guided matching": replace(WHOLE, tracking=replace(TRACKING, features=BLIND)),
-    "matches by patches": replace(WHOLE, tracking=replace(TRACKING, features=ALIGNED)),
+    "matches as detected": replace(WHOLE, tracking=replace(TRACKING, features=AS_DETECTED)),
     "without landmarks": replace(WHOLE, graph=replace(GRAPH, window=0)),
     "without loops": replace(WHOLE, graph=replace(GRAPH, loops=False)),
     "without the factor graph": replace(WHOLE, graph=replace(GRAPH, enabled=False)),

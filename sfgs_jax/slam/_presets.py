@@ -1,6 +1,6 @@
 """Settings that suit each kind of recording; every one can be overridden on the command line."""
 
-from sfgs_jax.slam.config import FeaturesConfig, MappingConfig, SeedingConfig, SlamConfig, TrackingConfig
+from sfgs_jax.slam.config import MappingConfig, SeedingConfig, SlamConfig, TrackingConfig
 
 _KINECT = SlamConfig(
     tracking=TrackingConfig(estimate_timing=True, estimate_depth=True),
@@ -9,15 +9,12 @@ _KINECT = SlamConfig(
 """A Kinect's depth is noise beyond five metres or so, and distorted. Its rows are not exposed at once
 (`experiments.sensors`)."""
 
-_RENDERED = SlamConfig(tracking=TrackingConfig(features=FeaturesConfig(align_patches=True)))
-"""Rendered images are sharp (`experiments/results.md`, places by patches)."""
-
 PRESETS: dict[str, SlamConfig] = {
     "tum": _KINECT,
     "7scenes": _KINECT,
     "scannet": _KINECT,
-    "replica": _RENDERED,
-    "icl_nuim": _RENDERED,
+    "replica": SlamConfig(),
+    "icl_nuim": SlamConfig(),
     "stray": SlamConfig(),
     "record3d": SlamConfig(),
     "nerfstudio": SlamConfig(),
@@ -28,6 +25,6 @@ PRESETS: dict[str, SlamConfig] = {
     "rosbag": SlamConfig(),
     "video": SlamConfig(),
     "folder": SlamConfig(),
-    "synthetic": _RENDERED,
+    "synthetic": SlamConfig(),
 }
 """Preset by dataset name."""

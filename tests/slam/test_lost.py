@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -151,6 +153,26 @@ def test_what_the_reference_no_longer_shows_is_found_by_way_of_the_frame_before(
     assert len(state.graph.keyframes) > 1
     assert 0 < state.graph.keyframes[1].frame < len(numbers) - 1
     assert max(error(long_room, n, i) for n, i in zip(numbers, infos, strict=True)) < 0.05
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_keypoints_that_leave_the_reference_go_on_from_the_frame_before(long_room, config, never, shared):
+    """The reference's surface alone would do. So it does where the frame before had no keypoints either."""
+    state, _ = follow(slam.init(long_room.camera, replace(config, tracking=never)), long_room, (0, 2, 4))
+    unlike = np.random.default_rng(0).normal(
+        size=state.tracker.references.keypoints.features.descriptors.shape
+    )
+    unlike /= np.linalg.norm(unlike, axis=-1, keepdims=True)
+    source = PoseSource.JOINT if shared else PoseSource.SURFACE
+    state = eqx.tree_at(
+        lambda s: (s.tracker.references.keypoints.features.descriptors, s.tracker.last_registration.source),
+        state,
+        (jnp.asarray(unlike, jnp.float32), jnp.asarray(int(source), jnp.int32)),
+    )
+    state, (info,) = follow(state, long_room, (6,))
+    assert info.source == source
+    assert [keyframe.frame for keyframe in state.graph.keyframes] == ([0, 2] if shared else [0])
+    assert error(long_room, 6, info) < 0.01
 
 
 def test_a_first_frame_that_shows_nothing_starts_no_map(long_room, config):

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._registration import PoseSource, Registration
+from sfgs_jax.slam.state._registration import Registration
 
 
 @partial(jax.jit, static_argnames="config", inline=True)
@@ -44,6 +44,5 @@ def runs_out_of_keypoints(
     # Where the surface leaves a direction free, the keypoints decide alone.
     share = jnp.where(found.num_free > 0, features.min_inlier_share_alone, 0)
     least = jnp.maximum(features.min_inliers_alone, share * found.matched.num_matches.astype(dtype))
-    by_keypoints = (found.source == PoseSource.JOINT) | (found.source == PoseSource.KEYPOINTS)
     more = jnp.sum(seen.keypoints.measured, dtype=jnp.int32) > 2 * left
-    return by_keypoints & (left.astype(dtype) < config.keyframe_margin * least) & more
+    return found.by_keypoints & (left.astype(dtype) < config.keyframe_margin * least) & more

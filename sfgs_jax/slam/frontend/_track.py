@@ -94,7 +94,8 @@ def track(
     differentiable through the frame's last registration, by the implicit function theorem.
 
     A frame is registered from the motion model, then from the last pose. If both fail, the same is tried in
-    the frame before, which then becomes a keyframe itself.
+    the frame before, which then becomes a keyframe itself. So it is where keypoints shared in the pose of the
+    frame before and no longer do in this one's, if they do between the two frames.
 
     Args:
         params: parameters of tracking.
@@ -141,7 +142,7 @@ def settle(
     """
     is_first, tracked = tracker.num_keyframes == 0, source != PoseSource.LOST
     if params.config.features.align_patches:
-        seen = _with_places(seen, found, source, params.camera)
+        seen = _with_places(seen, found, params.camera)
     # A pose that rests on the motion model in part would pass its error on to every later frame.
     firm = (source != PoseSource.MOTION_MODEL) & ~jnp.asarray(relocalised)
     could_be_keyframe = tracked & seen.registrable & firm
@@ -170,18 +171,15 @@ def settle(
     return _remembered(tracker, seen, motion, found, tracked, could_be_keyframe & ~new_keyframe), info
 
 
-def _with_places(
-    seen: FrameFeatures, found: Registration, source: Int[Array, ""], camera: Camera
-) -> FrameFeatures:
+def _with_places(seen: FrameFeatures, found: Registration, camera: Camera) -> FrameFeatures:
     """Features of a frame with its keypoints where its registration has found them.
 
     So whoever is registered to the frame, and its landmarks, have the places of the keyframe before.
     """
     if seen.keypoints.depth.shape[0] == 0:
         return seen
-    by_keypoints = (source == PoseSource.JOINT) | (source == PoseSource.KEYPOINTS)
     keypoints, matched = seen.keypoints, found.matched
-    pixels = jnp.where((matched.inliers & by_keypoints)[:, None], matched.pixels, keypoints.places)
+    pixels = jnp.where((matched.inliers & found.by_keypoints)[:, None], matched.pixels, keypoints.places)
     return replace(seen, keypoints=replace(on_their_planes(keypoints, pixels, camera), places=pixels))
 
 
@@ -230,6 +228,8 @@ def _starts(tracker: Tracker) -> Float[Array, "4 7"]:
 
 
 _Inputs = tuple[TrackerParams, Tracker, FrameFeatures]
+_Search = tuple[Registration, Int[Array, ""], Int[Array, ""]]
+"""The registration kept, its attempt, and the next one."""
 
 
 def _register_at(inputs: _Inputs, attempt: Int[Array, ""], found: Registration | None = None) -> Registration:
@@ -331,7 +331,10 @@ def _rectified(params: TrackerParams, features: FrameFeatures, motion: gicp.RowM
 
 @eqx.filter_custom_jvp
 def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
-    """The first registration that is believed, or the last one tried, and the number of its attempt."""
+    """The first registration that is believed, or the last one tried, and the number of its attempt.
+
+    One that keypoints no longer share in gives way to one in the last frame that they do.
+    """
     _, tracker, _ = inputs
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_register_at, inputs, 0))
     # Derivatives are taken at these motions where nothing is tried: no motion has the quaternion 0.
@@ -341,22 +344,29 @@ def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
     )
     first = jnp.where(tracker.num_keyframes > 0, 0, 2 * _BY_LAST)
     count = jnp.where(tracker.has_last, 2 * _BY_LAST, _BY_LAST)
+    shared = tracker.has_last & tracker.last_registration.by_keypoints
 
-    def unfinished(state: tuple[Registration, Int[Array, ""]]) -> Bool[Array, ""]:
-        found, attempt = state
-        return (found.source == PoseSource.LOST) & (attempt < count)
+    def unfinished(state: _Search) -> Bool[Array, ""]:
+        found, _, following = state
+        return jnp.where(
+            found.found, shared & ~found.by_keypoints & (following <= _BY_LAST), following < count
+        )
 
-    def again(state: tuple[Registration, Int[Array, ""]]) -> tuple[Registration, Int[Array, ""]]:
-        before, found = state[0], _register_at(inputs, state[1])
+    def again(state: _Search) -> _Search:
+        before, attempt, following = state
+        following = jnp.where(before.found, _BY_LAST, following)
+        found = _register_at(inputs, following)
         # Of what the attempts say about the scale of depth, the clearest is kept.
         clearer = abs(found.scale_change) * before.scale_sigma >= abs(before.scale_change) * found.scale_sigma
         change = jnp.where(clearer, found.scale_change, before.scale_change)
         sigma = jnp.where(clearer, found.scale_sigma, before.scale_sigma)
         found = eqx.tree_at(lambda f: (f.scale_change, f.scale_sigma), found, (change, sigma))
-        return found, state[1] + 1
+        better = ~before.found | found.by_keypoints
+        kept = jax.tree.map(lambda a, b: jnp.where(better, a, b), (found, following), (before, attempt))
+        return *kept, following + 1
 
-    found, attempts = lax.while_loop(unfinished, again, (blank, first))
-    return found, attempts - 1
+    found, attempt, _ = lax.while_loop(unfinished, again, (blank, first, first))
+    return found, attempt
 
 
 @_first_success.def_jvp

@@ -86,7 +86,11 @@ class Registration(eqx.Module):
         return self.source != PoseSource.LOST
 
     @property
+    def by_keypoints(self) -> Bool[Array, ""]:
+        """Whether keypoints share in the motion."""
+        return (self.source == PoseSource.JOINT) | (self.source == PoseSource.KEYPOINTS)
+
+    @property
     def information(self) -> Float[Array, "6 6"]:
         """(6, 6) of the residuals that the motion rests on, surface and keypoints together."""
-        keypoints = (self.source == PoseSource.JOINT) | (self.source == PoseSource.KEYPOINTS)
-        return self.surface_information + jnp.where(keypoints, self.matched.information, 0)
+        return self.surface_information + jnp.where(self.by_keypoints, self.matched.information, 0)
