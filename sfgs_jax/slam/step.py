@@ -29,8 +29,8 @@ from sfgs_jax.slam.state import (
     Stages,
     StepInfo,
     View,
-    covariances_of,
     mapping_factor,
+    newest_covariance,
     untimed,
 )
 
@@ -135,7 +135,7 @@ def follow(
         view = view_of(corrected, factor, keyframe, T_keyframe_cam, number, twist, extra=not due)
     last_view = number if due else state.last_view
     state = replace(state, log=log, last_view=last_view, last_look=look)
-    covariance = covariances_of(log, graph, slice(-1, None))[0]
+    covariance = newest_covariance(log, graph)
     info = info._replace(T_world_cam=state.T_world_cam, covariance=covariance)
     info = info._replace(new_view=due, loop_closed=closed)
     return Followed(state, info, view)

@@ -49,6 +49,28 @@ def test_tracks_the_room_from_the_first_camera(room, frames, config):
         assert np.sqrt(np.trace(info.covariance[:3, :3])) < 0.05
 
 
+def test_a_frame_between_two_keyframes_may_have_drifted_anywhere_on_their_way(room, frames, config):
+    """Known at both ends, a random walk has the variance s (1 - s) of its whole at a share s of the way."""
+    state, _ = follow(room, frames, config)
+    graph, (first, second) = state.graph, state.graph.keyframes[:2]
+    tracked = se3.matrices_of(np.stack([graph.poses[0], second.T_reference_keyframe]))
+
+    def covariances(drift):
+        end = tracked[0] @ tracked[1] @ se3.exps_of(np.asarray([drift]))
+        poses = graph.poses.copy()
+        poses[1] = se3.parameters_of(end)[0]
+        return replace(state, graph=replace(graph, poses=poses)).covariances
+
+    more = covariances([0.02, 0, -0.01, 0, 0.03, 0]) - covariances([0.0] * 6)
+    # Frames of the first keyframe, as a share of the way to the second; those after it are not on that way.
+    share = (state.log.numbers - first.frame) / (second.frame - first.frame)
+    share = np.where((state.log.keyframes == 0) & (share < 1), share, 0)
+    assert np.count_nonzero(share) > 0
+    position, angle = (0.02**2 + 0.01**2) / 3, 0.03**2 / 3
+    expected = (share * (1 - share))[:, None] * np.repeat([position, angle], 3)
+    np.testing.assert_allclose(more[share > 0], [np.diag(x) for x in expected[share > 0]], atol=2e-6)
+
+
 def test_a_state_prints_in_a_line_what_a_reader_wants_to_know(room, frames, config):
     state, info = slam.step(slam.init(room.camera, config), frames[0])
     count = f"{state.mapping.num_gaussians} of {config.mapping.capacity}"

@@ -8,8 +8,8 @@ from sfgs_jax.slam.state._focal_information import FocalInformation as FocalInfo
 from sfgs_jax.slam.state._frame_features import FrameFeatures as FrameFeatures
 from sfgs_jax.slam.state._frame_features import Keypoints as Keypoints
 from sfgs_jax.slam.state._frame_log import FrameLog as FrameLog
-from sfgs_jax.slam.state._frame_log import covariances_of as covariances_of
 from sfgs_jax.slam.state._frame_log import empty_log as empty_log
+from sfgs_jax.slam.state._frame_log import newest_covariance as newest_covariance
 from sfgs_jax.slam.state._frame_log import trajectory_of as trajectory_of
 from sfgs_jax.slam.state._gaussian_map import GaussianMap as GaussianMap
 from sfgs_jax.slam.state._gaussian_map import empty_map as empty_map

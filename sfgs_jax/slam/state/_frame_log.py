@@ -1,10 +1,11 @@
 """Log of the tracked frames: each one's pose in its keyframe, and from these the trajectory."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import jaxlie
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from sfgs_jax.arrays import Text, appended, printed_fields, printed_length, pytree
 from sfgs_jax.geometry import Trajectory, se3, slerp
@@ -93,33 +94,56 @@ def trajectory_of(log: FrameLog, graph: KeyframeGraph) -> Trajectory:
         return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
     T = se3.matrices_of(graph.poses)
     poses = T[log.keyframes] @ se3.matrices_of(log.motions)
+    for between, share, off in _corrections(log, graph):
+        correction = np.tile(np.eye(4), (len(share), 1, 1))
+        turn = np.broadcast_to(off[:3, :3], (len(share), 3, 3))
+        correction[:, :3, :3] = slerp(correction[:, :3, :3], turn, share[:, None])
+        correction[:, :3, 3] = share[:, None] * off[:3, 3]
+        poses[between] = poses[between] @ correction
+    return Trajectory(log.timestamps, poses)
+
+
+def newest_covariance(log: FrameLog, graph: KeyframeGraph) -> Float[np.ndarray, "6 6"]:
+    """Covariance of the newest frame's `T_world_cam`, of its tangent, as the graph knows its keyframe now.
+
+    Args:
+        log: the frames.
+        graph: their keyframes.
+    """
+    motion = se3.matrices_of(log.motions[-1:])
+    return se3.composed_covariances(graph.covariances[log.keyframes[-1:]], motion, log.covariances[-1:])[0]
+
+
+def covariances_of(log: FrameLog, graph: KeyframeGraph) -> Float[np.ndarray, "n 6 6"]:
+    """Covariances of the frames' `T_world_cam`, of their tangents, as the graph knows their keyframes now.
+
+    Where between two keyframes tracking drifted is not known. A frame between them has the variance of a
+    random walk in all directions with known ends, as wide as the graph's correction of their way.
+
+    Args:
+        log: the frames.
+        graph: their keyframes.
+    """
+    own = log.covariances.astype(np.float64)
+    for between, share, off in _corrections(log, graph):
+        walked = se3.logs_of(off[None])[0].reshape(2, 3)
+        variance = np.repeat(np.mean(walked**2, axis=1), 3)
+        own[between] += (share * (1 - share))[:, None, None] * np.diag(variance)
+    return se3.composed_covariances(graph.covariances[log.keyframes], se3.matrices_of(log.motions), own)
+
+
+def _corrections(
+    log: FrameLog, graph: KeyframeGraph
+) -> Iterator[tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " k"], Float[np.ndarray, "4 4"]]]:
+    """Frames between two keyframes, their shares of the way, and the graph's correction of that way."""
+    T = se3.matrices_of(graph.poses)
     for reference, number in _successors(graph).items():
         keyframe = graph.keyframes[number]
         start, end = graph.keyframes[reference].frame, keyframe.frame
         between = (log.keyframes == reference) & (log.numbers > start) & (log.numbers < end)
         tracked = T[reference] @ se3.matrices_of(keyframe.T_reference_keyframe[None])[0]
-        off = np.linalg.inv(tracked) @ T[number]
-        share = (log.numbers[between] - start)[:, None] / (end - start)
-        correction = np.tile(np.eye(4), (len(share), 1, 1))
-        turn = np.broadcast_to(off[:3, :3], (len(share), 3, 3))
-        correction[:, :3, :3] = slerp(correction[:, :3, :3], turn, share)
-        correction[:, :3, 3] = share * off[:3, 3]
-        poses[between] = poses[between] @ correction
-    return Trajectory(log.timestamps, poses)
-
-
-def covariances_of(
-    log: FrameLog, graph: KeyframeGraph, rows: slice = slice(None)
-) -> Float[np.ndarray, "n 6 6"]:
-    """Covariances of the frames' `T_world_cam`, of their tangents, as the graph knows their keyframes now.
-
-    Args:
-        log: the frames.
-        graph: their keyframes.
-        rows: frames wanted, all if not given.
-    """
-    known = graph.covariances[log.keyframes[rows]]
-    return se3.composed_covariances(known, se3.matrices_of(log.motions[rows]), log.covariances[rows])
+        share = (log.numbers[between] - start) / (end - start)
+        yield between, share, np.linalg.inv(tracked) @ T[number]
 
 
 def _successors(graph: KeyframeGraph) -> dict[int, int]:
