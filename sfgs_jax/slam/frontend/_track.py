@@ -94,8 +94,8 @@ def track(
     differentiable through the frame's last registration, by the implicit function theorem.
 
     A frame is registered from the motion model, then from the last pose. If both fail, the same is tried in
-    the frame before, which then becomes a keyframe itself. So it is where keypoints shared in the pose of the
-    frame before and no longer do in this one's, if they do between the two frames.
+    the frame before, which then becomes a keyframe itself. If keypoints shared in the last pose and not in
+    this one, the frame before is tried too. It is taken if they share in the motion from there.
 
     Args:
         params: parameters of tracking.
@@ -333,7 +333,7 @@ def _rectified(params: TrackerParams, features: FrameFeatures, motion: gicp.RowM
 def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
     """The first registration that is believed, or the last one tried, and the number of its attempt.
 
-    One that keypoints no longer share in gives way to one in the last frame that they do.
+    One that keypoints no longer share in gives way to one in the last frame that they share in.
     """
     _, tracker, _ = inputs
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_register_at, inputs, 0))

@@ -117,8 +117,8 @@ def newest_covariance(log: FrameLog, graph: KeyframeGraph) -> Float[np.ndarray, 
 def covariances_of(log: FrameLog, graph: KeyframeGraph) -> Float[np.ndarray, "n 6 6"]:
     """Covariances of the frames' `T_world_cam`, of their tangents, as the graph knows their keyframes now.
 
-    Where between two keyframes tracking drifted is not known. A frame between them has the variance of a
-    random walk in all directions with known ends, as wide as the graph's correction of their way.
+    Nobody knows where between two keyframes tracking drifted. A frame between them has the variance of a
+    random walk with known ends, in all directions, as wide as the graph's correction.
 
     Args:
         log: the frames.
