@@ -4,7 +4,7 @@
 
 Recordings as they are, and with stamps that jitter. Rows that are not exposed at once move by the motion
 between two frames, divided by their interval. Excess says how far the frames contradict each other about the
-times of the rows; it is 1 if they are as exact as they claim.
+times of the rows. It is 1 if they are as exact as they claim.
 """
 
 import argparse

@@ -89,7 +89,7 @@ def test_after_a_jump_the_frame_is_found_among_all_keyframes(long_room, config):
     state, infos = follow(slam.init(long_room.camera, config), long_room, range(0, 30, 2))
     assert all(info.tracked for info in infos)
     assert len(state.graph.keyframes) > 2
-    # From the far end of the swing back to its beginning: nothing of the last reference is in view, and no
+    # Back from the far end of the swing to its beginning. Nothing of the last reference is in view, and no
     # camera gets there in no time. Five frames have to say so.
     numbers = range(0, 14, 2)
     state, after = follow(state, long_room, numbers)

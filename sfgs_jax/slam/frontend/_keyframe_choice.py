@@ -41,7 +41,7 @@ def runs_out_of_keypoints(
     """
     left, features = found.matched.num_inliers, config.features
     dtype = found.T_target_source.wxyz_xyz.dtype
-    # Where the surface leaves a direction free, the keypoints decide alone.
+    # Keypoints decide alone along a direction that the surface leaves free.
     share = jnp.where(found.num_free > 0, features.min_inlier_share_alone, 0)
     least = jnp.maximum(features.min_inliers_alone, share * found.matched.num_matches.astype(dtype))
     more = jnp.sum(seen.keypoints.measured, dtype=jnp.int32) > 2 * left
