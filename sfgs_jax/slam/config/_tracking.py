@@ -56,8 +56,7 @@ class FeaturesConfig:
     kernel_width: float = 3.0
     """Width of a match's Geman-McClure kernel, standard deviations."""
     max_iterations: int = 30
-    """Most steps to the motion with the least reprojection error; where the camera moves slowly six are
-    enough."""
+    """Most steps to the motion with the least reprojection error; mostly ten are enough."""
     tolerance: float = 1e-5
     """Length of a step, metres and radians, below which that motion is found."""
     inlier_pixels: float = 3.0

@@ -2,8 +2,7 @@
 
 import jax.numpy as jnp
 import jaxlie
-from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from sfgs_jax.arrays import dot
 from sfgs_jax.geometry import Camera, se3
@@ -17,10 +16,7 @@ from sfgs_jax.slam.frontend._patch_alignment import (
 )
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._tracker import TrackerParams
-from sfgs_jax.superfeats import Matches
 
-_MOST = 512
-"""Matches that are aligned, those that look most alike; the others count for nothing."""
 _DETECTED = 1.0
 """Standard deviation of a keypoint's place as detected, along each axis, pixels."""
 _LEAST_AREA, _MOST_AREA = 0.1, 10.0
@@ -30,55 +26,48 @@ _LEAST_AREA, _MOST_AREA = 0.1, 10.0
 def with_aligned_places(
     T_target_source: jaxlie.SE3,
     rows: MatchedRows,
-    matches: Matches,
     source: FrameFeatures,
     target: FrameFeatures,
     params: TrackerParams,
-    found: Float[Array, "K 2"] | None = None,
+    found: Float[Array, "M 2"] | None = None,
 ) -> MatchedRows:
     """Matches at the places at which the source looks like the target, and only those that do.
 
     Args:
         T_target_source: the motion by keypoints as they were detected, which says how patches are warped.
         rows: matches at these places.
-        matches: the same by slots.
-        source: the frame to locate.
-        target: the frame to locate it in.
+        source: the frame to locate, with the keypoints of these matches alone.
+        target: the frame to locate it in, likewise.
         params: parameters of tracking.
         found: pixels (u, v) as an earlier call has found them; they get their derivatives.
     """
-    camera, count = params.camera, len(rows.valid)
-    alike = jnp.where(rows.valid, lax.stop_gradient(matches.similarity), -1)
-    _, chosen = lax.top_k(alike, min(_MOST, count))
-    to = matches.index_b[chosen]
+    camera = params.camera
     factor = patch_factor(camera.width)
     pairs = PatchPairs(
         source.grey,
         target.grey,
-        reduced(source.keypoints.places[chosen], camera),
-        reduced(target.keypoints.places[to], camera),
-        _warps(T_target_source, rows, chosen, target.keypoints.normals[to], camera),
+        reduced(source.keypoints.places, camera),
+        reduced(target.keypoints.places, camera),
+        _warps(T_target_source, rows, target.keypoints.normals, camera),
         jnp.asarray(_DETECTED / factor, source.grey.dtype),
     )
     if found is None:
         shift, agreement = aligned(pairs, steps=params.config.features.patch_steps)
     else:
-        shift, agreement = aligned_again((found - rows.pixels)[chosen].T / factor, pairs)
+        shift, agreement = aligned_again((found - rows.pixels).T / factor, pairs)
     agree = agreement >= params.config.features.min_patch_agreement
-    pixels = rows.pixels.at[chosen].add(factor * shift.T)
-    return rows._replace(pixels=pixels, valid=rows.valid & jnp.zeros(count, bool).at[chosen].set(agree))
+    return rows._replace(pixels=rows.pixels + factor * shift.T, valid=rows.valid & agree)
 
 
 def _warps(
     T_target_source: jaxlie.SE3,
     rows: MatchedRows,
-    chosen: Int[Array, " M"],
     normals: Float[Array, "M 3"],
     camera: Camera,
 ) -> Float[Array, "2 2 M"]:
     """Derivative of the target's pixels by the source's, across the planes of the target's points."""
     ahead = jnp.asarray([0, 0, 1], rows.points.dtype)
-    points = jnp.where(rows.valid[chosen][:, None], rows.points[chosen], ahead)
+    points = jnp.where(rows.valid[:, None], rows.points, ahead)
     known = jnp.sum(normals**2, axis=1) > 0
     normals = jnp.where(known[:, None], normals, -ahead).T
     at, distance = camera.project(points), dot(normals, points.T)

@@ -1,5 +1,8 @@
 """Motion between two frames by their matched keypoints."""
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import jaxlie
@@ -21,8 +24,10 @@ from sfgs_jax.slam.frontend._rectification import with_depth_in_time
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
 from sfgs_jax.slam.state._registration import FeatureRegistration
 from sfgs_jax.slam.state._tracker import TrackerParams
-from sfgs_jax.superfeats import Expected, Matches, match
+from sfgs_jax.superfeats import Expected, match
 
+_MOST = 512
+"""Matches that count, those that look most alike."""
 _CELLS = 8
 """Parts of the image's width, and of its height, that matches are counted by."""
 
@@ -40,11 +45,11 @@ def motion_from_keypoints(
 
     Keypoints that look alike match if they lie where the guess expects them. The motion starts from the guess
     if that explains most of the matches. Otherwise a rigid motion that lays the matched points on
-    each other is tried, by graduated non-convexity; it needs depth in both frames. Then Gauss-Newton with a
-    Geman-McClure kernel minimises the reprojection error of the target's points. That is an error of pixels
-    and, where the source has depth, of inverse depth. With `FeaturesConfig.align_patches` that motion lays
-    the target's patches over the source's. Matches get the places at which they look alike, and those that
-    don't are left out. The motion is found anew.
+    each other is tried, by graduated non-convexity; it needs depth in both frames. Then Newton's method
+    minimises the reprojection error of the target's points, under a Geman-McClure kernel. That is an error of
+    pixels and, where the source has depth, of inverse depth. With `FeaturesConfig.align_patches` that
+    motion lays the target's patches over the source's. Matches get the places at which they look alike, and
+    those that don't are left out. The motion is found anew.
 
     The motion is differentiable by the implicit function theorem; with learned weights also with respect to
     descriptors and scores. Which keypoints match, and where the iterations start, has no derivative.
@@ -65,23 +70,24 @@ def motion_from_keypoints(
         return FeatureRegistration(
             guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none, jnp.zeros((0, 2)), guess
         )
-    seen = keypoints_in_time(source, params, sweep, guess)
-    matches, rows = _matched_rows(seen, target.keypoints, guess, params, sweep, guess_known)
-    start = _guess_or_rigid_motion(guess, seen, rows, matches.similarity, params)
+    matched = _matched(source, target, guess, params, sweep, guess_known)
+    rows = matched.rows
+    start = _guess_or_rigid_motion(guess, matched, params)
     T = as_detected = least_reprojection(start, rows, params)
     if config.align_patches:
-        rows = with_aligned_places(T, rows, matches, source, target, params)
-        rows = rows._replace(depth=keypoints_in_time(source, params, sweep, T).depth)
+        rows = with_aligned_places(T, rows, matched.source, matched.target, params)
+        rows = rows._replace(depth=keypoints_in_time(matched.source, params, sweep, T).depth)
         T = least_reprojection(T, rows, params)
     inliers = _explained(T, rows, params, config.inlier_pixels)
+    pixels = source.keypoints.features.keypoints
     return FeatureRegistration(
         T,
         information(T, rows, params),
-        matches.index_b,
-        inliers,
+        matched.to,
+        jnp.zeros(len(pixels), bool).at[matched.slots].set(inliers),
         num_matches=jnp.sum(rows.valid, dtype=jnp.int32),
         num_inliers=jnp.sum(inliers, dtype=jnp.int32),
-        pixels=rows.pixels,
+        pixels=pixels.at[matched.slots].set(rows.pixels),
         T_as_detected=as_detected,
     )
 
@@ -106,17 +112,18 @@ def with_derivatives(
     """
     if source.keypoints.depth.shape[0] == 0:
         return found
-    seen = keypoints_in_time(source, params, sweep, guess)
-    matches, rows = _matched_rows(seen, target.keypoints, guess, params, sweep, True)
+    matched = _matched(source, target, guess, params, sweep, True)
+    rows, slots = matched.rows, matched.slots
     T = as_detected = newton_corrected(found.T_as_detected, rows, params)
     if params.config.features.align_patches:
-        rows = with_aligned_places(T, rows, matches, source, target, params, found.pixels)
-        rows = rows._replace(depth=keypoints_in_time(source, params, sweep, T).depth)
+        rows = with_aligned_places(T, rows, matched.source, matched.target, params, found.pixels[slots])
+        rows = rows._replace(depth=keypoints_in_time(matched.source, params, sweep, T).depth)
         T = newton_corrected(found.T_target_source, rows, params)
+    pixels = source.keypoints.features.keypoints.at[slots].set(rows.pixels)
     return eqx.tree_at(
         lambda f: (f.T_target_source, f.information, f.pixels, f.T_as_detected),
         found,
-        (T, information(T, rows, params), rows.pixels, as_detected),
+        (T, information(T, rows, params), pixels, as_detected),
     )
 
 
@@ -139,25 +146,51 @@ def keypoints_in_time(
     return with_depth_in_time(source, params.camera, sweep.at(T_target_source))
 
 
-def _matched_rows(
-    source: Keypoints,
-    target: Keypoints,
+class _Matched(NamedTuple):
+    """The matches that count.
+
+    Attributes:
+        to: (K,) the target's slot for each slot of the source, matched or not.
+        slots: (M,) the source's slots of those that count.
+        source: the source with their keypoints alone, in the order of `slots`, as it was read.
+        target: the target with those that they are matched to.
+        similarity: (M,) of the descriptors; -1 where there is no match.
+        rows: their rows, with depth in time by the guess.
+    """
+
+    to: Int[Array, " k"]
+    slots: Int[Array, " m"]
+    source: FrameFeatures
+    target: FrameFeatures
+    similarity: Float[Array, " m"]
+    rows: MatchedRows
+
+
+def _matched(
+    source: FrameFeatures,
+    target: FrameFeatures,
     guess: jaxlie.SE3,
     params: TrackerParams,
     sweep: gicp.Sweep | None,
     guess_known: Bool[Array, ""] | bool,
-) -> tuple[Matches, MatchedRows]:
+) -> _Matched:
     config = params.config.features
     matches = match(
-        source.features,
-        target.features,
+        source.keypoints.features,
+        target.keypoints.features,
         min_similarity=config.min_similarity,
-        expected=_expected(target, guess, params.camera, config, guess_known),
+        expected=_expected(target.keypoints, guess, params.camera, config, guess_known),
     )
-    valid = matches.valid & target.measured[matches.index_b]
-    weights = _weights(source, target, matches, valid, config)
-    points, pixels = target.points[matches.index_b], source.features.keypoints
-    return matches, MatchedRows(points, pixels, source.depth, valid, sweep, weights)
+    measured = matches.valid & target.keypoints.measured[matches.index_b]
+    alike = jnp.where(measured, matches.similarity, -1)
+    _, slots = lax.top_k(lax.stop_gradient(alike), min(_MOST, len(alike)))
+    source = replace(source, keypoints=source.keypoints.at(slots))
+    target = replace(target, keypoints=target.keypoints.at(matches.index_b[slots]))
+    seen, valid = keypoints_in_time(source, params, sweep, guess), measured[slots]
+    weights = _weights(seen, target.keypoints, alike[slots], valid, config)
+    pixels = seen.features.keypoints
+    rows = MatchedRows(target.keypoints.points, pixels, seen.depth, valid, sweep, weights)
+    return _Matched(matches.index_b, slots, source, target, alike[slots], rows)
 
 
 def num_explained(
@@ -175,19 +208,14 @@ def num_explained(
     return jnp.sum(_explained(T_target_source, rows, params, pixels), dtype=jnp.int32)
 
 
-def _guess_or_rigid_motion(
-    guess: jaxlie.SE3,
-    source: Keypoints,
-    rows: MatchedRows,
-    similarity: Float[Array, " k"],
-    params: TrackerParams,
-) -> jaxlie.SE3:
+def _guess_or_rigid_motion(guess: jaxlie.SE3, matched: _Matched, params: TrackerParams) -> jaxlie.SE3:
     """The guess if it explains most of the matches, else it or a rigid motion, whichever explains more."""
+    rows = matched.rows
     shares = _shares(rows, params.camera)
     guessed = _support(guess, rows, shares, params)
 
     def rigid() -> jaxlie.SE3:
-        T = _rigid_motion(source, rows, similarity, params.config.features)
+        T = _rigid_motion(matched, params)
         better = _support(T, rows, shares, params) > guessed
         return jaxlie.SE3(jnp.where(better, T.wxyz_xyz, guess.wxyz_xyz))
 
@@ -214,28 +242,33 @@ def _expected(
 
 
 def _weights(
-    source: Keypoints, target: Keypoints, matches: Matches, valid: Bool[Array, " k"], config: FeaturesConfig
-) -> Float[Array, " k"] | None:
+    source: Keypoints,
+    target: Keypoints,
+    similarity: Float[Array, " m"],
+    valid: Bool[Array, " m"],
+    config: FeaturesConfig,
+) -> Float[Array, " m"] | None:
     """Weights of the matches, with a mean of 1, so that they say nothing about the noise of all of them."""
     if config.match_weights == "equal":
         return None
     # At the floor a match weighs nothing: one that comes or goes there moves no pose.
-    certain = jnp.where(valid, matches.similarity - config.min_similarity, 0)
-    weights = certain * source.features.scores * target.features.scores[matches.index_b]
+    certain = jnp.where(valid, similarity - config.min_similarity, 0)
+    weights = certain * source.features.scores * target.features.scores
     mean = jnp.sum(weights) / jnp.maximum(jnp.sum(valid.astype(weights.dtype)), 1)
     return weights / jnp.where(mean > 0, mean, 1)
 
 
-def _rigid_motion(
-    source: Keypoints, rows: MatchedRows, similarity: Float[Array, " k"], config: FeaturesConfig
-) -> jaxlie.SE3:
+def _rigid_motion(matched: _Matched, params: TrackerParams) -> jaxlie.SE3:
     """The motion that lays most of the best matches' points on each other."""
-    best = jnp.where(rows.valid & (source.depth > 0), similarity, -1)
+    config, rows = params.config.features, matched.rows
+    measured = rows.depth > 0
+    points = params.camera.unproject(rows.pixels, jnp.where(measured, rows.depth, 1))
+    best = jnp.where(measured, matched.similarity, -1)
     similarity, order = lax.top_k(best, min(config.max_rigid_matches, len(best)))
     return gicp.rigid_from_matches(
-        source.points[order],
+        points[order],
         rows.points[order],
-        1 / jnp.maximum(source.depth[order], 0.3) ** 2,
+        1 / jnp.maximum(rows.depth[order], 0.3) ** 2,
         valid=similarity > 0,
         max_distance=config.max_distance,
         refined=False,

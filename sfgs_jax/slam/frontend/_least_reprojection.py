@@ -12,10 +12,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
 from sfgs_jax.arrays import gauss_jordan
-from sfgs_jax.geometry import kernel_weight, reprojection_residuals, se3
+from sfgs_jax.geometry import kernel_rho, kernel_weight, reprojection_residuals, se3
 from sfgs_jax.sensors import carried, row_places
 from sfgs_jax.slam.state._tracker import TrackerParams
 
+_ROUNDING = 1e-6
+"""Share of the cost that rounding may add to it."""
 _LEAST = 1e-3
 """Information that keeps a motion in place which no match fixes, 1 / m² and 1 / rad²."""
 
@@ -54,16 +56,30 @@ def row_residuals(
 
 
 class _Equations(NamedTuple):
-    """Normal equations of the matches, and the weighted sums of their squares and of their weights."""
+    """Cost of a motion, and its derivatives.
 
-    hessian: Float[Array, "6 6"]
+    Attributes:
+        cost: half the robust squares of the matches, summed.
+        gradient: of the cost.
+        hessian: with the weights of the matches held fixed.
+        bend: what their fall takes off the Hessian.
+        square: weighted sum of the squares.
+        weight: sum of the weights.
+    """
+
+    cost: Float[Array, ""]
     gradient: Float[Array, "6"]
+    hessian: Float[Array, "6 6"]
+    bend: Float[Array, "6 6"]
     square: Float[Array, ""]
     weight: Float[Array, ""]
 
 
 def _equations(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams) -> _Equations:
-    """Iteratively reweighted normal equations at a motion."""
+    """Cost and derivatives at a motion.
+
+    Source: Triggs et al., Bundle Adjustment, a Modern Synthesis (2000), section 4.3.
+    """
     residual, jacobian, front = row_residuals(T, rows, params)
     square, width = jnp.sum(residual**2, axis=0), params.config.features.kernel_width
     weight = jnp.where(front, kernel_weight(square, "geman_mcclure", width), 0)
@@ -72,35 +88,72 @@ def _equations(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams) -> _Equa
     weighted = jnp.moveaxis(weight[None, None] * jacobian, 1, 0).reshape(6, -1)
     hessian = jnp.matmul(weighted, rows_of.T, precision=Precision.HIGHEST)
     gradient = jnp.matmul(weighted, residual.reshape(-1), precision=Precision.HIGHEST)
-    return _Equations(hessian, gradient, jnp.sum(weight * square), jnp.sum(weight))
+    fall = weight * 4 / (width**2 + square)
+    pulls = jnp.sum(jacobian * residual[:, None], axis=0)
+    bend = jnp.matmul(fall[None] * pulls, pulls.T, precision=Precision.HIGHEST)
+    cost = jnp.where(rows.valid, kernel_rho(square, "geman_mcclure", width) / 2, 0)
+    cost = jnp.sum(cost if rows.weights is None else cost * rows.weights)
+    return _Equations(cost, gradient, hessian, bend, jnp.sum(weight * square), jnp.sum(weight))
 
 
 class _Descent(NamedTuple):
-    """A motion after so many steps, and the length of the last one."""
+    """State of the search for the least cost.
+
+    Attributes:
+        T: the motion to try next.
+        least: the motion with the least cost so far.
+        cost: its cost.
+        sure: step from there with the weights held fixed; half of it, and so on, if it raised the cost.
+        steps: taken so far.
+        length: of the last one.
+    """
 
     T: jaxlie.SE3
+    least: jaxlie.SE3
+    cost: Float[Array, ""]
+    sure: Float[Array, "6"]
     steps: Int[Array, ""]
     length: Float[Array, ""]
 
 
 @eqx.filter_custom_jvp
 def least_reprojection(start: jaxlie.SE3, rows: MatchedRows, params: TrackerParams) -> jaxlie.SE3:
-    """Motion after Gauss-Newton steps from a start, until they are short."""
+    """Motion with the least robust reprojection error, from a start.
+
+    Steps are Newton's where these lower the cost, elsewhere those of reweighted least squares. The latter alone
+    are three times as many, because matches at the kernel's shoulder hold them back.
+    """
     config = params.config.features
 
     def unfinished(state: _Descent) -> Bool[Array, ""]:
         return (state.steps < config.max_iterations) & (state.length > config.tolerance)
 
     def step(state: _Descent) -> _Descent:
-        hessian, gradient, _, _ = _equations(state.T, rows, params)
-        # Damped by its own diagonal, so that what no match fixes stays where it is.
-        damped = hessian + jnp.diag(1e-4 * jnp.diagonal(hessian) + _LEAST)
-        delta = -gauss_jordan(jnp.concatenate([damped, gradient[:, None]], axis=1))[1][:, 0]
-        T = se3.compose(state.T, se3.exp(jnp.clip(delta, -0.5, 0.5)))
-        return _Descent(T, state.steps + 1, jnp.max(jnp.abs(delta)))
+        at = _equations(state.T, rows, params)
+        sure, newton = _step(at.hessian, at.gradient), _step(at.hessian - at.bend, at.gradient)
+        bold = jnp.where(jnp.sum(newton * at.gradient) < 0, newton, sure)
+        lower = at.cost <= (1 + _ROUNDING) * state.cost
+        least, cost, sure, delta = (
+            jnp.where(lower, a, b)
+            for a, b in (
+                (state.T.wxyz_xyz, state.least.wxyz_xyz),
+                (at.cost, state.cost),
+                (sure, state.sure / 2),
+                (bold, state.sure),
+            )
+        )
+        T = se3.compose(jaxlie.SE3(least), se3.exp(delta))
+        return _Descent(T, jaxlie.SE3(least), cost, sure, state.steps + 1, jnp.max(jnp.abs(delta)))
 
-    far = jnp.full((), jnp.inf, rows.depth.dtype)
-    return lax.while_loop(unfinished, step, _Descent(start, jnp.asarray(0), far)).T
+    far, still = jnp.full((), jnp.inf, rows.depth.dtype), jnp.zeros(6, rows.depth.dtype)
+    return lax.while_loop(unfinished, step, _Descent(start, start, far, still, jnp.asarray(0), far)).T
+
+
+def _step(hessian: Float[Array, "6 6"], gradient: Float[Array, "6"]) -> Float[Array, "6"]:
+    """A step, damped by its own diagonal, so that what no match fixes stays where it is."""
+    damped = hessian + jnp.diag(1e-4 * jnp.abs(jnp.diagonal(hessian)) + _LEAST)
+    delta = -gauss_jordan(jnp.concatenate([damped, gradient[:, None]], axis=1))[1][:, 0]
+    return jnp.clip(delta, -0.5, 0.5)
 
 
 @least_reprojection.def_jvp

@@ -1,7 +1,10 @@
 """Features of a frame: its surface for GICP, and its keypoints with their depth."""
 
+from dataclasses import replace
+
 import equinox as eqx
-from jaxtyping import Array, Bool, Float
+import jax
+from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
 from sfgs_jax.superfeats import Features
@@ -30,6 +33,16 @@ class Keypoints(eqx.Module):
     def measured(self) -> Bool[Array, " k"]:
         """(K,) slots that hold a keypoint with depth."""
         return self.features.valid & (self.depth > 0)
+
+    def at(self, slots: Int[Array, " m"]) -> "Keypoints":
+        """The keypoints in some of the slots.
+
+        Args:
+            slots: their numbers.
+        """
+        lanes = self.features, self.depth, self.points, self.normals, self.places
+        features, depth, points, normals, places = jax.tree.map(lambda x: x[slots], lanes)
+        return replace(self, features=features, depth=depth, points=points, normals=normals, places=places)
 
 
 class FrameFeatures(eqx.Module):
