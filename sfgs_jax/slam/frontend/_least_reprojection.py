@@ -16,8 +16,9 @@ from sfgs_jax.geometry import kernel_rho, kernel_weight, reprojection_residuals,
 from sfgs_jax.sensors import carried, row_places
 from sfgs_jax.slam.state._tracker import TrackerParams
 
-_ROUNDING = 1e-6
-"""Share of the cost that rounding may add to it."""
+_RISE = 1e-3
+"""Share of the cost by which a step may raise it. The Jacobian leaves out that the twist of a frame's rows
+turns with its motion, so its zero lies a little beside the least cost."""
 _LEAST = 1e-3
 """Information that keeps a motion in place which no match fixes, 1 / m² and 1 / rad²."""
 
@@ -120,8 +121,8 @@ class _Descent(NamedTuple):
 def least_reprojection(start: jaxlie.SE3, rows: MatchedRows, params: TrackerParams) -> jaxlie.SE3:
     """Motion with the least robust reprojection error, from a start.
 
-    Steps are Newton's where these lower the cost, elsewhere those of reweighted least squares. The latter alone
-    are three times as many, because matches at the kernel's shoulder hold them back.
+    Steps are Newton's where these lower the cost, elsewhere those of reweighted least squares. The latter
+    alone are three times as many, because matches at the kernel's shoulder hold them back.
     """
     config = params.config.features
 
@@ -132,7 +133,7 @@ def least_reprojection(start: jaxlie.SE3, rows: MatchedRows, params: TrackerPara
         at = _equations(state.T, rows, params)
         sure, newton = _step(at.hessian, at.gradient), _step(at.hessian - at.bend, at.gradient)
         bold = jnp.where(jnp.sum(newton * at.gradient) < 0, newton, sure)
-        lower = at.cost <= (1 + _ROUNDING) * state.cost
+        lower = at.cost <= (1 + _RISE) * state.cost
         least, cost, sure, delta = (
             jnp.where(lower, a, b)
             for a, b in (
