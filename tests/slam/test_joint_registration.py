@@ -136,6 +136,23 @@ def test_few_keypoints_help_a_surface_but_do_not_stand_without_it(
         assert int(result.matched.num_inliers) >= few
 
 
+@pytest.mark.parametrize(("sure", "expected"), [(True, PoseSource.KEYPOINTS), (False, PoseSource.LOST)])
+def test_only_keypoints_that_are_sure_stand_against_a_surface(rng, look, made_up, corner, sure, expected):
+    """Points of a part of the keypoints are 20 cm aside, the others' are anywhere."""
+    rgb, (_, depth) = wall(texture(rng), (0, 0, 0)).rgb, corner
+    seen = look(Frame(rgb, depth, 0.0))
+    points = seen.keypoints.points
+    aside = jnp.asarray(rng.random(len(points)) < (0.8 if sure else 0.25))
+    points = jnp.where(
+        aside[:, None], points + jnp.asarray([[0.2, 0, 0]]), points[rng.permutation(len(points))]
+    )
+    target = eqx.tree_at(lambda o: o.keypoints.points, seen, points)
+    found = register(made_up, seen, target, se3.identity())
+    assert int(found.matched.num_inliers) >= 20
+    np.testing.assert_allclose(found.matched.T_target_source.translation(), [0.2, 0, 0], atol=0.01)
+    assert int(found.source) == expected
+
+
 @pytest.mark.parametrize("enough", [True, False])
 def test_what_a_wall_leaves_free_takes_as_many_keypoints_as_stand_alone(rng, look, params, tracking, enough):
     """All of the few agree, as do the outlines of a bare sphere that the camera circles."""

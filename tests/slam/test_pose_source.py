@@ -169,14 +169,47 @@ def test_frames_in_a_row_strengthen_a_suspicion_as_far_as_the_camera_may_have_mo
     assert counts == [1, 2, 1, 2, 3]
 
 
-@pytest.mark.parametrize(
-    ("inliers", "matches", "near_guess", "expected"),
-    [(43, 122, True, True), (43, 122, False, False), (70, 122, False, True), (12, 16, False, False)],
-)
-def test_after_a_lost_frame_half_of_many_matches_have_to_agree(inliers, matches, near_guess, expected):
-    """On a tiled wall a third of them agreed, one tile off."""
+def takes_part(inliers, matches, detected, agreement, near_guess=True):
+    """Whether so many inliers take part, of matches around which the images agree and of all."""
     matched = eqx.tree_at(
-        lambda m: m.num_matches, registration(inliers=inliers).matched, jnp.asarray(matches)
+        lambda m: (m.num_matches, m.num_detected),
+        registration(inliers=inliers).matched,
+        (jnp.asarray(matches), jnp.asarray(detected)),
     )
-    part = keypoints_take_part(matched, jnp.asarray(0.34), jnp.asarray(0), near_guess, TrackingConfig())
-    assert bool(part) == expected
+    shares = jnp.asarray(0.6), jnp.asarray(agreement)
+    return bool(keypoints_take_part(matched, *shares, jnp.asarray(0), near_guess, TrackingConfig()))
+
+
+@pytest.mark.parametrize(
+    ("inliers", "matches", "detected", "expected"),
+    [(23, 71, 121, False), (56, 125, 223, True), (72, 128, 411, True), (12, 16, 40, True), (9, 9, 9, False)],
+)
+def test_a_quarter_of_all_matches_or_half_of_those_that_look_alike_have_to_agree(
+    inliers, matches, detected, expected
+):
+    assert takes_part(inliers, matches, detected, 0.9) == expected
+
+
+@pytest.mark.parametrize(
+    ("inliers", "agreement", "expected"), [(43, 0.8, True), (43, 0.6, False), (70, 0.6, True)]
+)
+def test_where_fewer_than_half_agree_the_surface_has_to(inliers, agreement, expected):
+    """A tile off, it did not."""
+    assert takes_part(inliers, 122, 122, agreement) == expected
+
+
+@pytest.mark.parametrize(
+    ("inliers", "matches", "detected", "agreement", "expected"),
+    [
+        (43, 122, 122, 0.9, False),
+        (70, 122, 122, 0.9, True),
+        (70, 122, 122, 0.6, False),
+        (50, 60, 122, 0.9, True),
+        (12, 16, 16, 0.9, False),
+    ],
+)
+def test_after_a_lost_frame_half_of_many_matches_and_the_surface_have_to_agree(
+    inliers, matches, detected, agreement, expected
+):
+    """On a tiled wall a third of them agreed, one tile off."""
+    assert takes_part(inliers, matches, detected, agreement, near_guess=False) == expected

@@ -70,13 +70,16 @@ class FeaturesConfig:
     min_inliers_alone: int = 20
     """Least inliers with which the keypoints stand without the surface, or against it."""
     min_inlier_share: float = 0.25
-    """Least share of inliers among the matches with which the keypoints take part in a registration."""
+    """Least share of inliers among the matches with which the keypoints take part in a registration. Less is
+    enough where `min_inlier_share_sure` of those around which the images agree are inliers."""
     min_inlier_share_alone: float = 0.33
     """Least share of inliers, beside `min_inliers_alone`, where the surface leaves a direction of motion
     free. There the keypoints decide alone, and nothing would contradict wrong matches that agree."""
-    min_inlier_share_lost: float = 0.5
-    """Least share of inliers, beside `min_inliers_alone`, after a lost frame. The camera may be anywhere, and
-    where things look alike the matches of a wrong place agree too."""
+    min_inlier_share_sure: float = 0.5
+    """Least share of inliers with which the keypoints are sure. Unsure ones need a surface that
+    agrees, and `max_velocity_change` bounds their motion: where things look alike, matches of a wrong place
+    agree too. A lost camera may be anywhere. Then such a share of those that look alike, at least
+    `min_inliers_alone`, and the surface have to agree."""
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
@@ -87,7 +90,7 @@ class FeaturesConfig:
         check_counts(self, 1, "min_inliers", "min_inliers_alone")
         check_range(self, 0, 2, "guidance")
         check_range(self, 0, 1, "min_similarity", "min_contrast", "min_inlier_share", "min_patch_agreement")
-        check_range(self, 0, 1, "min_inlier_share_alone", "min_inlier_share_lost")
+        check_range(self, 0, 1, "min_inlier_share_alone", "min_inlier_share_sure")
         check_positive(
             self, "depth_tolerance", "max_distance", "pixel_sigma", "inverse_depth_sigma", "tolerance"
         )
@@ -142,9 +145,12 @@ class TrackingConfig:
     """Least share of surface inliers that GICP needs to succeed, but for points at holes of the reference."""
     min_inlier_fraction_alone: float = 0.4
     """Least share of surface inliers where no keypoints confirm GICP. Surfaces alone fit in many places."""
-    min_agreement_alone: float = 0.75
+    min_agreement: float = 0.75
     """Least share of surface inliers among the points that the reference shows, where no keypoints confirm
-    GICP."""
+    GICP for sure."""
+    max_velocity_change: float = 2.0
+    """Largest change of the camera's velocity since the last tracked frame where the keypoints are not sure,
+    m/s. A place that only looks like the right one is seldom so near the prediction."""
     max_correction_alone: float = 0.3
     """Largest distance between GICP's start and its end where no keypoints confirm it, metres and radians."""
     search_angle: float = 0.2
@@ -199,8 +205,9 @@ class TrackingConfig:
         check_positive(self, "extrinsic_shift_sigma", "extrinsic_turn_sigma")
         if self.estimate_extrinsic and not self.estimate_depth:
             raise InputError("`estimate_extrinsic` needs `estimate_depth`, of which it is a part.")
-        check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement_alone")
+        check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement")
         check_range(self, 0, 1, "keyframe_inlier_fraction")
+        check_positive(self, "max_velocity_change")
         check_range(self, 0, math.inf, "max_correction_alone", "search_angle", "max_disagreement")
         check_range(self, 0, math.inf, "keyframe_margin")
         check_range(self, 0, math.inf, "max_motion_model_travel", "keyframe_translation", "keyframe_rotation")

@@ -68,7 +68,7 @@ def motion_from_keypoints(
         # Features are switched off.
         nothing, none = jnp.zeros(0, jnp.int32), jnp.zeros((), jnp.int32)
         return FeatureRegistration(
-            guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none, jnp.zeros((0, 2)), guess
+            guess, jnp.zeros((6, 6)), nothing, nothing > 0, none, none, none, jnp.zeros((0, 2)), guess
         )
     matched = _matched(source, target, guess, params, sweep, guess_known)
     rows = matched.rows
@@ -85,6 +85,7 @@ def motion_from_keypoints(
         information(T, rows, params),
         matched.to,
         jnp.zeros(len(pixels), bool).at[matched.slots].set(inliers),
+        num_detected=jnp.sum(matched.rows.valid, dtype=jnp.int32),
         num_matches=jnp.sum(rows.valid, dtype=jnp.int32),
         num_inliers=jnp.sum(inliers, dtype=jnp.int32),
         pixels=pixels.at[matched.slots].set(rows.pixels),
@@ -99,6 +100,8 @@ def with_derivatives(
     params: TrackerParams,
     sweep: gicp.Sweep | None,
     found: FeatureRegistration,
+    *,
+    guess_known: Bool[Array, ""] | bool,
 ) -> FeatureRegistration:
     """A result of `motion_from_keypoints` with its derivatives, without the steps that led there.
 
@@ -109,10 +112,11 @@ def with_derivatives(
         params: the same.
         sweep: the same.
         found: the result, without derivatives.
+        guess_known: as of `motion_from_keypoints`.
     """
     if source.keypoints.depth.shape[0] == 0:
         return found
-    matched = _matched(source, target, guess, params, sweep, True)
+    matched = _matched(source, target, guess, params, sweep, guess_known)
     rows, slots = matched.rows, matched.slots
     T = as_detected = newton_corrected(found.T_as_detected, rows, params)
     if params.config.features.align_patches:

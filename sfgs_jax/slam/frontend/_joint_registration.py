@@ -27,9 +27,11 @@ from sfgs_jax.slam.frontend._pose_source import (
     Evidence,
     judge,
     keypoints_are_many,
+    keypoints_are_sure,
     keypoints_help,
     keypoints_take_part,
     rests_on_surface,
+    surface_agrees,
     surface_fits,
 )
 from sfgs_jax.slam.state._frame_features import FrameFeatures
@@ -46,9 +48,10 @@ class Allowed(NamedTuple):
     Attributes:
         surface: whether the surface alone may give the pose.
         motion_model: whether the motion model may fill the directions that the surface leaves free.
-        near_guess: whether the camera was seen in the frame before. One that was lost may be anywhere, and
-            a few matches agree in many places. Then few keypoints count for nothing, and the surface alone
-            gives no pose where many keypoints match and fit no motion.
+        near_guess: whether the camera is near the guess: it was seen in the frame before. One that was lost
+            may be anywhere, and a few matches agree in many places. Then keypoints count only if they are
+            many and sure and the surface agrees. The surface alone gives no pose where many keypoints match
+            and fit no motion.
         doubtful_scale: whether the sensor seems to have changed its scale of depth. Then nothing is believed
             but what shows the scale to be the same.
     """
@@ -118,15 +121,17 @@ def _register(
     surface = _align(params, source, target, matched, start, sweep)
     # Holes in the target's depth speak neither for a motion nor against it.
     fraction = surface.inlier_fraction / jnp.maximum(1 - surface.unmeasured, 1e-3)
+    agreement = jnp.where(surface.overlap > 0, surface.inlier_fraction / surface.overlap, 1.0)
     num_free = jnp.sum(surface.free)
-    keypoints = keypoints_take_part(matched, fraction, num_free, allowed.near_guess, config)
+    keypoints = keypoints_take_part(matched, fraction, agreement, num_free, allowed.near_guess, config)
     T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
+    fits = surface_fits(fraction, config)
     evidence = Evidence(
         keypoints=keypoints,
-        many_keypoints=many,
-        surface=surface_fits(fraction, config) & jnp.all(jnp.isfinite(T.wxyz_xyz)),
+        many_keypoints=many & (keypoints_are_sure(matched, features) | ~fits),
+        surface=fits & jnp.all(jnp.isfinite(T.wxyz_xyz)),
         agree=_agree(params, source, target, matched, T, sweep),
-        surface_alone=_stands_alone(surface, _apart(guess, T), config),
+        surface_alone=_stands_alone(surface, agreement, _apart(guess, T), config),
         free=num_free > 0,
         surface_allowed=jnp.asarray(allowed.surface) & (allowed.near_guess | ~many_matches),
         motion_model_allowed=jnp.asarray(allowed.motion_model) & ~denied,
@@ -141,6 +146,7 @@ def _register(
         matched=matched,
         source=judge(evidence),
         inlier_fraction=fraction,
+        agreement=agreement,
         rmse=surface.rmse,
         num_free=num_free,
         scale_change=scale[0],
@@ -156,6 +162,8 @@ def found_again(
     allowed: Allowed,
     sweep: gicp.Sweep | None,
     found: Registration,
+    *,
+    guess_known: Bool[Array, ""] | bool,
 ) -> Registration:
     """A registration with the derivatives of its motions and of the keypoints' information.
 
@@ -169,14 +177,15 @@ def found_again(
         allowed: as of `register`.
         sweep: as of `register`.
         found: the result of `register`, which pose was believed.
+        guess_known: as of `register`.
     """
     config, found = params.config, lax.stop_gradient(found)
-    matched = with_derivatives(source, target, guess, params, sweep, found.matched)
+    matched = with_derivatives(source, target, guess, params, sweep, found.matched, guess_known=guess_known)
     T = start = _choose(keypoints_help(found.matched, config.features), matched.T_target_source, guess)
     if config.use_surface:
         surface = _align(params, source, target, matched, start, sweep, found.T_target_source)
-        fraction, num_free = found.inlier_fraction, found.num_free
-        keypoints = keypoints_take_part(found.matched, fraction, num_free, allowed.near_guess, config)
+        fit = found.inlier_fraction, found.agreement, found.num_free
+        keypoints = keypoints_take_part(found.matched, *fit, allowed.near_guess, config)
         T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
         T = _choose(found.source == PoseSource.KEYPOINTS, start, T)
     return eqx.tree_at(lambda f: (f.T_target_source, f.matched), found, (T, matched))
@@ -238,6 +247,7 @@ def _without_surface(
         matched=matched,
         source=judge(nothing),
         inlier_fraction=zero,
+        agreement=jnp.ones(()),
         rmse=zero,
         num_free=jnp.asarray(0),
         scale_change=scale[0],
@@ -281,14 +291,17 @@ def _align(
 
 
 def _stands_alone(
-    surface: gicp.RegistrationResult, correction: Float[Array, ""], config: TrackingConfig
+    surface: gicp.RegistrationResult,
+    agreement: Float[Array, ""],
+    correction: Float[Array, ""],
+    config: TrackingConfig,
 ) -> Bool[Array, ""]:
     """True if GICP needs no keypoints: it ended near its start, on most of the surface in view.
 
     Points outside the target's image say nothing. Points inside that miss its surface speak against it.
     """
-    least = jnp.maximum(config.min_inlier_fraction_alone, config.min_agreement_alone * surface.overlap)
-    return (correction < config.max_correction_alone) & (surface.inlier_fraction >= least)
+    fits = (surface.inlier_fraction >= config.min_inlier_fraction_alone) & surface_agrees(agreement, config)
+    return (correction < config.max_correction_alone) & fits
 
 
 def _held_at_guess(surface: gicp.RegistrationResult, guess: jaxlie.SE3) -> jaxlie.SE3:

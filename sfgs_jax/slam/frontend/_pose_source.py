@@ -17,7 +17,7 @@ class Evidence(NamedTuple):
 
     Attributes:
         keypoints: enough matches agree for the keypoints to take part.
-        many_keypoints: enough of them agree to stand without the surface, or against it.
+        many_keypoints: enough of them agree to stand without the surface, or, if they are sure, against it.
         surface: GICP has enough inliers, and its motion is finite.
         agree: keypoints and GICP have found the same motion.
         surface_alone: GICP ended near its start, with enough inliers to need no keypoints.
@@ -46,18 +46,48 @@ def keypoints_help(matched: FeatureRegistration, config: FeaturesConfig) -> Bool
         matched: the motion by keypoints.
         config: settings.
     """
-    agree = _share(matched) >= config.min_inlier_share
+    agree = (_share_of_all(matched) >= config.min_inlier_share) | keypoints_are_alike(matched, config)
     return (matched.num_inliers >= config.min_inliers) & agree
 
 
 def keypoints_are_many(matched: FeatureRegistration, config: FeaturesConfig) -> Bool[Array, ""]:
-    """True if enough matches agree on a motion to stand without the surface, or against it.
+    """True if enough matches agree on a motion to stand without the surface.
 
     Args:
         matched: the motion by keypoints.
         config: settings.
     """
     return matched.num_inliers >= config.min_inliers_alone
+
+
+def keypoints_are_alike(matched: FeatureRegistration, config: FeaturesConfig) -> Bool[Array, ""]:
+    """True if the motion explains most of the matches around which the images agree.
+
+    Args:
+        matched: the motion by keypoints.
+        config: settings.
+    """
+    return _share(matched) >= config.min_inlier_share_sure
+
+
+def keypoints_are_sure(matched: FeatureRegistration, config: FeaturesConfig) -> Bool[Array, ""]:
+    """True if the motion explains most of all matches, so that hardly another one explains as many.
+
+    Args:
+        matched: the motion by keypoints.
+        config: settings.
+    """
+    return _share_of_all(matched) >= config.min_inlier_share_sure
+
+
+def surface_agrees(agreement: Float[Array, ""], config: TrackingConfig) -> Bool[Array, ""]:
+    """True if the surface lies where the reference shows one.
+
+    Args:
+        agreement: share of surface inliers among the points that the reference shows.
+        config: settings.
+    """
+    return agreement >= config.min_agreement
 
 
 def surface_fits(fraction: Float[Array, ""], config: TrackingConfig) -> Bool[Array, ""]:
@@ -73,6 +103,7 @@ def surface_fits(fraction: Float[Array, ""], config: TrackingConfig) -> Bool[Arr
 def keypoints_take_part(
     matched: FeatureRegistration,
     fraction: Float[Array, ""],
+    agreement: Float[Array, ""],
     num_free: Int[Array, ""],
     near_guess: Flag,
     config: TrackingConfig,
@@ -82,16 +113,19 @@ def keypoints_take_part(
     Args:
         matched: the motion by keypoints.
         fraction: share of the source's points that lie on the target's surface.
+        agreement: the same of those points that the target shows.
         num_free: directions of motion that the surface leaves free.
-        near_guess: whether the camera was seen in the frame before.
+        near_guess: whether the camera is near the guess.
         config: settings.
     """
     features = config.features
-    surely = keypoints_are_many(matched, features) & (_share(matched) >= features.min_inlier_share_lost)
-    counted = keypoints_help(matched, features) & (near_guess | surely)
+    many, agrees = keypoints_are_many(matched, features), surface_agrees(agreement, config)
+    # Points inside the target's image that miss its surface speak against the motion.
+    near = keypoints_are_sure(matched, features) | agrees
+    anywhere = many & keypoints_are_alike(matched, features) & agrees
+    counted = keypoints_help(matched, features) & jnp.where(near_guess, near, anywhere)
     # Nothing contradicts a few wrong matches that agree along a direction that the surface leaves free.
-    certain = keypoints_are_many(matched, features)
-    certain &= _share(matched) >= features.min_inlier_share_alone
+    certain = many & (_share(matched) >= features.min_inlier_share_alone)
     return counted & ((num_free == 0) | certain | ~surface_fits(fraction, config))
 
 
@@ -99,11 +133,16 @@ def _share(matched: FeatureRegistration) -> Float[Array, ""]:
     return matched.num_inliers / jnp.maximum(matched.num_matches, 1)
 
 
+def _share_of_all(matched: FeatureRegistration) -> Float[Array, ""]:
+    return matched.num_inliers / jnp.maximum(matched.num_detected, 1)
+
+
 def judge(evidence: Evidence) -> Int[Array, ""]:
     """Residuals that a pose rests on.
 
-    A dash stands for either. Few keypoints help the surface; many stand without it and against it. Without
-    the same scale of depth the frame is `LOST` whatever else holds: the motion that fits best is then wrong.
+    A dash stands for either. Few keypoints help the surface; many stand without it, and sure ones against it.
+    Without the same scale of depth the frame is `LOST` whatever else holds: the motion that fits best is then
+    wrong.
 
     | keypoints | many | surface | agree | surface alone | free | allowed | pose source |
     | --- | --- | --- | --- | --- | --- | --- | --- |

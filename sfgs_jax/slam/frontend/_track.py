@@ -20,6 +20,7 @@ from sfgs_jax.slam.frontend._depth_scale import is_other_scale
 from sfgs_jax.slam.frontend._frame_features import feature_shapes, frame_features
 from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, found_again, register
 from sfgs_jax.slam.frontend._keyframe_choice import needs_keyframe, runs_out_of_keypoints
+from sfgs_jax.slam.frontend._pose_source import keypoints_are_alike, keypoints_are_sure
 from sfgs_jax.slam.frontend._rectification import on_their_planes, rectified
 from sfgs_jax.slam.frontend._timing_estimate import timing_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
@@ -93,9 +94,10 @@ def track(
     A pure function on pytrees of fixed shapes: `lax.scan` over frames, `vmap` over recordings. The pose is
     differentiable through the frame's last registration, by the implicit function theorem.
 
-    A frame is registered from the motion model, then from the last pose. If both fail, the same is tried in
-    the frame before, which then becomes a keyframe itself. If keypoints shared in the last pose and not in
-    this one, the frame before is tried too. It is taken if they share in the motion from there.
+    A frame is registered from the motion model. If that fails, it is registered from the last pose, with
+    keypoints matched by their looks alone. If both fail, the same is tried in the frame before, which then
+    becomes a keyframe itself. If keypoints shared in the last pose and not in this one, all are tried until
+    they do. If few of the matches agree, the last pose is tried too, and more inliers win.
 
     Args:
         params: parameters of tracking.
@@ -249,10 +251,28 @@ def _register_at(inputs: _Inputs, attempt: Int[Array, ""], found: Registration |
         by_last, tracker.last_motion.known, tracker.reference_motions.known[tracker.current]
     )
     sweep = _sweep(params, tracker, before, rectified)
+    # Where the motion model has failed, it does not say where keypoints should lie either. With a wrong guess
+    # those are preferred that make another tile look like the right one.
+    guess_known = attempt % 2 == 0
     allowed = allowed_sources(tracker, params.config)
+    allowed = allowed._replace(near_guess=allowed.near_guess & guess_known)
     if found is not None:
-        return found_again(params, seen, target, guess, allowed, sweep, found)
-    return register(params, seen, target, guess, allowed, sweep)
+        return found_again(params, seen, target, guess, allowed, sweep, found, guess_known=guess_known)
+    found = register(params, seen, target, guess, allowed, sweep, guess_known=guess_known)
+    predicted = jaxlie.SE3(_starts(tracker)[jnp.where(by_last, _BY_LAST, 0)])
+    return _plausible(found, predicted, tracker, params.config)
+
+
+def _plausible(
+    found: Registration, predicted: jaxlie.SE3, tracker: Tracker, config: TrackingConfig
+) -> Registration:
+    """A registration, lost if its keypoints are not sure and the camera's velocity would change too much."""
+    off = jnp.linalg.norm(se3.compose(se3.inverse(predicted), found.T_target_source).translation())
+    seconds = tracker.since_tracked
+    jumps = (seconds > 0) & (off > config.max_velocity_change * seconds)
+    unlikely = found.by_keypoints & jumps & ~keypoints_are_sure(found.matched, config.features)
+    source = jnp.where(unlikely, int(PoseSource.LOST), found.source)
+    return eqx.tree_at(lambda f: f.source, found, source)
 
 
 def _sweep(
@@ -333,9 +353,10 @@ def _rectified(params: TrackerParams, features: FrameFeatures, motion: gicp.RowM
 def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
     """The first registration that is believed, or the last one tried, and the number of its attempt.
 
-    One that keypoints no longer share in gives way to one in the last frame that they share in.
+    One that keypoints no longer share in gives way to the first that they share in. One that few of its
+    matches agree with has a rival in the same keyframe, and the one with more inliers is kept.
     """
-    _, tracker, _ = inputs
+    params, tracker, _ = inputs
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_register_at, inputs, 0))
     # Derivatives are taken at these motions where nothing is tried: no motion has the quaternion 0.
     still = se3.identity(blank.T_target_source.wxyz_xyz.dtype)
@@ -348,20 +369,20 @@ def _first_success(inputs: _Inputs) -> tuple[Registration, Int[Array, ""]]:
 
     def unfinished(state: _Search) -> Bool[Array, ""]:
         found, _, following = state
-        return jnp.where(
-            found.found, shared & ~found.by_keypoints & (following <= _BY_LAST), following < count
-        )
+        doubtful = found.by_keypoints & ~keypoints_are_alike(found.matched, params.config.features)
+        missing = ~found.found | (shared & ~found.by_keypoints)
+        return (missing & (following < count)) | (doubtful & (following < _BY_LAST))
 
     def again(state: _Search) -> _Search:
         before, attempt, following = state
-        following = jnp.where(before.found, _BY_LAST, following)
         found = _register_at(inputs, following)
         # Of what the attempts say about the scale of depth, the clearest is kept.
         clearer = abs(found.scale_change) * before.scale_sigma >= abs(before.scale_change) * found.scale_sigma
         change = jnp.where(clearer, found.scale_change, before.scale_change)
         sigma = jnp.where(clearer, found.scale_sigma, before.scale_sigma)
         found = eqx.tree_at(lambda f: (f.scale_change, f.scale_sigma), found, (change, sigma))
-        better = ~before.found | found.by_keypoints
+        more = ~before.by_keypoints | (found.matched.num_inliers > before.matched.num_inliers)
+        better = ~before.found | (found.by_keypoints & more)
         kept = jax.tree.map(lambda a, b: jnp.where(better, a, b), (found, following), (before, attempt))
         return *kept, following + 1
 

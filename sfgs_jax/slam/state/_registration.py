@@ -39,7 +39,8 @@ class FeatureRegistration(eqx.Module):
             and of inverse depth.
         index: (K,) the target's slot for each slot of the source.
         inliers: (K,) matches that the motion explains.
-        num_matches: number of matches.
+        num_detected: number of matches.
+        num_matches: number of those around which the images agree.
         num_inliers: number of inliers among them.
         pixels: (K, 2) places of the source's keypoints, refined where the images around a match agree.
         T_as_detected: the motion by the keypoints as they were detected.
@@ -49,6 +50,7 @@ class FeatureRegistration(eqx.Module):
     information: Float[Array, "6 6"]
     index: Int[Array, " k"]
     inliers: Bool[Array, " k"]
+    num_detected: Int[Array, ""]
     num_matches: Int[Array, ""]
     num_inliers: Int[Array, ""]
     pixels: Float[Array, "k 2"]
@@ -64,6 +66,7 @@ class Registration(eqx.Module):
         matched: the motion by keypoints alone, and its matches.
         source: a `PoseSource`.
         inlier_fraction: share of the source's points that lie on the target, but for those at its holes.
+        agreement: the same of those points that the target shows; 1 if it shows none.
         rmse: root mean square distance of those along the normals, metres.
         num_free: directions of motion that the surface leaves free, 0 to 6.
         scale_change: logarithm of the target's scale of depth over the source's.
@@ -75,6 +78,7 @@ class Registration(eqx.Module):
     matched: FeatureRegistration
     source: Int[Array, ""]
     inlier_fraction: Float[Array, ""]
+    agreement: Float[Array, ""]
     rmse: Float[Array, ""]
     num_free: Int[Array, ""]
     scale_change: Float[Array, ""]
