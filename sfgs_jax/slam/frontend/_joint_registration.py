@@ -49,9 +49,9 @@ class Allowed(NamedTuple):
         surface: whether the surface alone may give the pose.
         motion_model: whether the motion model may fill the directions that the surface leaves free.
         near_guess: whether the camera is near the guess: it was seen in the frame before. One that was lost
-            may be anywhere, and a few matches agree in many places. Then keypoints count only if they are
-            many and sure and the surface agrees. The surface alone gives no pose where many keypoints match
-            and fit no motion.
+            may be anywhere, and a few matches agree in many places. Then keypoints count only if many agree,
+            most of those that look alike, and the surface with them. The surface alone gives no pose where
+            many keypoints match and fit no motion.
         doubtful_scale: whether the sensor seems to have changed its scale of depth. Then nothing is believed
             but what shows the scale to be the same.
     """
