@@ -3,20 +3,21 @@
     python -m experiments.focal_lengths [--recordings room redkitchen ...] [--stride 3] [--errors -3 0 3]
 
 Each recording is tracked with focal lengths that are wrong by each error. The estimate is that after the last
-frame, with its standard deviation. The column `sure` has the largest estimate at any frame that would be
-believed. `TrackingConfig.max_focal_error` has to lie above those with right focal lengths. The last columns
-say at which frame an estimate was beyond a limit.
+frame, with its standard deviation. The column `sure` has the largest estimate at any frame that chance does
+not explain. `TrackingConfig.max_focal_error` has to lie above those with right focal lengths. The last
+columns say at which frame an estimate was beyond a limit, chance allowed for.
 
 Real recordings are found through SFGS_DATA, by default `../shared`; one that is not there is left out with a
 line.
 """
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from experiments.contradictions import RECORDINGS
 from experiments.starts import in_memory
@@ -42,39 +43,43 @@ class Told(NamedTuple):
     Attributes:
         estimates: (n,) logarithm of the true focal lengths over those in use.
         sigmas: (n,) their standard deviations.
-        sure: (n,) size of the estimates that would be believed; 0 for the others.
+        sure: (n,) size of the estimates that are not chance; 0 for the others.
+        beyond: (n, l) whether they are beyond each limit, chance allowed for.
         tracked: frames that were tracked.
     """
 
     estimates: Float[np.ndarray, " n"]
     sigmas: Float[np.ndarray, " n"]
     sure: Float[np.ndarray, " n"]
+    beyond: Bool[np.ndarray, "n l"]
     tracked: int
 
 
-def told(recording: Recording, error: float, config: slam.SlamConfig) -> Told:
+def told(recording: Recording, error: float, config: slam.SlamConfig, limits: Sequence[float]) -> Told:
     """Track a recording with wrong focal lengths.
 
     Args:
         recording: any.
         error: share by which its focal lengths are too long.
         config: settings.
+        limits: of the estimate, as shares.
     """
     camera = recording.camera
     camera = replace(camera, fx=camera.fx * (1 + error), fy=camera.fy * (1 + error))
     config = replace(config, tracking=replace(config.tracking, max_focal_error=NOTHING))
-    state, found, tracked = slam.init(camera, config), [], 0
+    state, found, beyond, tracked = slam.init(camera, config), [], [], 0
     for number in range(len(recording)):
         state, info, _ = slam.follow(state, recording[number])
         tracked += info.tracked
         focal = state.graph.focal
         estimate, sigma = focal.estimate()
         found.append((estimate, sigma, abs(estimate) if focal.is_beyond(0.0) else 0.0))
+        beyond.append([focal.is_beyond(limit) for limit in limits])
     estimates, sigmas, sure = np.transpose(found)
-    return Told(estimates, sigmas, sure, tracked)
+    return Told(estimates, sigmas, sure, np.asarray(beyond), tracked)
 
 
-def row(name: str, recording: Recording, error: float, limits: tuple[float, ...]) -> str:
+def row(name: str, recording: Recording, error: float, limits: Sequence[float]) -> str:
     """A line of the Markdown table.
 
     Args:
@@ -83,14 +88,13 @@ def row(name: str, recording: Recording, error: float, limits: tuple[float, ...]
         error: percent by which focal lengths are too long.
         limits: percent.
     """
-    found = told(recording, error / 100, slam.PRESETS[recording.dataset])
+    shares = [limit / 100 for limit in limits]
+    found = told(recording, error / 100, slam.PRESETS[recording.dataset], shares)
     cells = [
         f"{100 * found.estimates[-1]:.2f} ± {100 * found.sigmas[-1]:.2f}",
         f"{100 * max(found.sure):.2f}",
     ]
-    for limit in limits:
-        beyond = np.flatnonzero(found.sure > limit / 100)
-        cells.append(str(beyond[0]) if len(beyond) else "never")
+    cells += [str(np.argmax(beyond)) if beyond.any() else "never" for beyond in found.beyond.T]
     return f"| {name} | {error:g} | {found.tracked} of {len(recording)} | {' | '.join(cells)} |"
 
 
@@ -114,7 +118,7 @@ def main(arguments: list[str] | None = None) -> None:
         if recording is None:
             continue
         for error in options.errors:
-            print(row(name, recording, error, tuple(options.limits)), flush=True)
+            print(row(name, recording, error, options.limits), flush=True)
 
 
 if __name__ == "__main__":

@@ -20,10 +20,12 @@ def test_keyframes_tell_focal_lengths_that_are_too_long():
         ),
         graph=GraphConfig(capacity=16, max_landmarks=128, window=4),
     )
-    found = told(InMemory(SyntheticRecording(num_frames=12, width=160, height=120)), 0.1, config)
+    found = told(InMemory(SyntheticRecording(num_frames=12, width=160, height=120)), 0.1, config, [0.0, 1.0])
     assert found.tracked == 12
     assert np.isinf(found.sigmas[0])
     assert found.estimates[0] == 0
     assert -0.2 < found.estimates[-1] < -0.02
     assert abs(found.estimates[-1] + np.log(1.1)) < 3 * found.sigmas[-1]
     assert np.all((found.sure == 0) | (found.sure == abs(found.estimates)))
+    np.testing.assert_array_equal(found.beyond[:, 0], found.sure > 0)
+    assert not found.beyond[:, 1].any()

@@ -78,6 +78,22 @@ def test_one_registration_alone_is_not_believed_at_its_word():
     assert not told.is_beyond(0.06)
 
 
+def test_chance_is_allowed_for_beside_the_limit():
+    """1.6 % are five deviations from none, and still no more than 1.5 % and chance together."""
+    told = FocalInformation()
+    for says in 0.016 + 0.002 * np.asarray([-1.0, 1.0] * 10):
+        told = told.joined(FocalInformation.of(5e3, 5e3 * says))
+    error, sigma = told.estimate()
+    np.testing.assert_allclose(error, 0.016, rtol=1e-6)
+    assert 4.5 < error / sigma < 5.5
+    assert told.is_beyond(0.0)
+    assert not told.is_beyond(0.015)
+    surer = told
+    for _ in range(15):
+        surer = surer.joined(told)
+    assert surer.is_beyond(0.015)
+
+
 def test_nothing_is_known_before_the_first_registration():
     nothing = FocalInformation()
     assert nothing.estimate() == (0.0, np.inf)

@@ -178,8 +178,8 @@ class TrackingConfig:
     is of another time. 5 or more looks for no lag."""
     max_focal_error: float = 0.015
     """Largest error of the focal lengths, as a share, with which frames are believed. If the keyframes show a
-    larger one, frames are lost: their poses would drift, and fit as well as ever. They show three quarters of
-    it. 1 looks for none."""
+    larger one, chance allowed for, frames are lost: their poses would drift, and fit as well as ever. They
+    show three quarters of it. 1 looks for none."""
     max_depth_scatter: float = 0.01
     """Largest scatter of depth from pixel to pixel, as a share of it, up to 2.5 metres. Farther off it grows
     with the square of depth. Depth that scatters more is noise, and is not used."""

@@ -1,5 +1,6 @@
 """Sum of what registrations say about the focal lengths."""
 
+import math
 from dataclasses import dataclass
 
 from sfgs_jax.arrays import pytree
@@ -9,7 +10,8 @@ _USUAL_EXCESS = 3.0
 _USUAL_COUNT = 4.0
 """Registrations that this assumption counts as much as."""
 _SIGMAS = 4.0
-"""Standard deviations of an error that is believed. With three, fr1_rpy at every fifth frame is suspected."""
+"""Standard deviations beyond which chance explains no error. With three, fr1_rpy at every fifth frame is
+suspected."""
 _LEAST_COUNT = 5.0
 """Registrations below which no error is believed: the first few are of one motion, and may err alike."""
 
@@ -82,10 +84,10 @@ class FocalInformation:
         return mean, (max(1.0, excess) / self.information) ** 0.5
 
     def is_beyond(self, limit: float) -> bool:
-        """True if the focal lengths are certainly wrong by more than a limit.
+        """True if the focal lengths are wrong by more than other errors and chance explain together.
 
         Args:
-            limit: of the estimate, as a share.
+            limit: of what distorted depth and rolling shutters can make of right ones, as a share.
         """
         error, sigma = self.estimate()
-        return bool(self.count >= _LEAST_COUNT and abs(error) > max(limit, _SIGMAS * sigma))
+        return bool(self.count >= _LEAST_COUNT and abs(error) > math.hypot(limit, _SIGMAS * sigma))
