@@ -10,7 +10,7 @@ from sfgs_jax.geometry import Camera, require_camera
 from sfgs_jax.sensors import FrameClock, SensorModel, block_means
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import depth_parameters_in_use, estimated_timing, init_tracker, tracker_params
-from sfgs_jax.slam.keyframes import prior_noise
+from sfgs_jax.slam.keyframes import prior_noise, with_new_depth_parameters
 from sfgs_jax.slam.state import (
     SlamState,
     empty_graph,
@@ -40,6 +40,7 @@ def init(camera: Camera, config: SlamConfig | None = None, sensors: SensorModel 
     tracker = init_tracker(params)
     size = tracker.references.keypoints.signature.shape[-1]
     graph = empty_graph(depth_parameters_in_use(params), prior_noise(config.graph), size)
+    graph = with_new_depth_parameters(params, graph)
     if config.tracking.estimate_timing:
         _, covariance = estimated_timing(params, tracker)
         graph = replace(graph, times_covariance=np.asarray(covariance, np.float64))

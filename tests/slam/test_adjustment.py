@@ -108,6 +108,7 @@ def test_a_landmark_that_many_keyframes_show_needs_no_larger_program(run, config
         keyframes=graph.keyframes * times,
         poses=np.tile(graph.poses, (times, 1)),
         covariances=np.tile(graph.covariances, (times, 1, 1)),
+        depth_sensitivities=np.tile(graph.depth_sensitivities, (times, 1, 1)),
         signatures=np.tile(graph.signatures, (times, 1)),
         edges=tuple(replace(graph.edges[0], target=i, source=i + 1) for i in range(5 * times - 1)),
     )

@@ -68,6 +68,7 @@ def drifted(room, config, circle):
         keyframes=tuple(keyframes),
         poses=np.stack(poses),
         covariances=np.arange(COUNT)[:, None, None] * 0.02**2 * np.eye(6),
+        depth_sensitivities=np.zeros((COUNT, 6, 0)),
         signatures=np.zeros((COUNT, state.graph.signatures.shape[1]), np.float32),
         edges=tuple(edges),
     )

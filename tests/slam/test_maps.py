@@ -124,7 +124,14 @@ def _graph(runs, references, places):
     covariances = 1e-4 * np.arange(len(places))[:, None, None] * np.eye(6)
     graph = empty_graph(np.zeros(0), prior_noise(slam.GraphConfig()), 1)
     signatures = np.tile(np.asarray(template.features.keypoints.signature), (len(places), 1))
-    return replace(graph, keyframes=keyframes, poses=poses, covariances=covariances, signatures=signatures)
+    return replace(
+        graph,
+        keyframes=keyframes,
+        poses=poses,
+        covariances=covariances,
+        depth_sensitivities=np.zeros((len(places), 6, 0)),
+        signatures=signatures,
+    )
 
 
 def _edge(target, source, shift, deviation=0.01):

@@ -54,6 +54,7 @@ def first_state(recording: SyntheticRecording) -> SlamState:
         keyframes=(keyframe, keyframe),
         poses=np.stack([identity, identity]),
         covariances=np.tile(SIGMA_M**2 * np.eye(6), (2, 1, 1)),
+        depth_sensitivities=np.zeros((2, 6, 0)),
         signatures=np.zeros((2, state.graph.signatures.shape[1]), np.float32),
         edges=(loop,),
     )

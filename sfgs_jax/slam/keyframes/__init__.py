@@ -9,9 +9,13 @@ from sfgs_jax.slam.keyframes._covariances import motion_covariance as motion_cov
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_begun as with_adjustment_begun
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_taken as with_adjustment_taken
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_frame_passed as with_frame_passed
+from sfgs_jax.slam.keyframes._depth_drift import with_drift_since as with_drift_since
 from sfgs_jax.slam.keyframes._depth_equations import DepthEquations as DepthEquations
 from sfgs_jax.slam.keyframes._depth_equations import depth_equations as depth_equations
 from sfgs_jax.slam.keyframes._depth_estimate import estimated_depth as estimated_depth
+from sfgs_jax.slam.keyframes._depth_estimate import (
+    with_new_depth_parameters as with_new_depth_parameters,
+)
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise as edge_noise
 from sfgs_jax.slam.keyframes._edges import edge_of as edge_of
 from sfgs_jax.slam.keyframes._edges import prior_noise as prior_noise

@@ -58,7 +58,12 @@ def with_new_depth_parameters(params: TrackerParams, graph: KeyframeGraph) -> Ke
     """
     if params.depth_correction is None:
         return graph
-    return replace(graph, depth_parameters=graph.depth.estimate(prior_of(params.config)))
+    prior = prior_of(params.config)
+    return replace(
+        graph,
+        depth_parameters=graph.depth.estimate(prior),
+        depth_covariance=graph.depth.covariance(prior),
+    )
 
 
 @checked

@@ -16,10 +16,8 @@ from jaxtyping import Float
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.keyframes._depth_estimate import prior_of
 from sfgs_jax.slam.keyframes._edges import motions_of, prior_noise
 from sfgs_jax.slam.state._keyframe_graph import Edge, EdgeNoise, KeyframeGraph
-from sfgs_jax.slam.state._tracker import TrackerParams
 
 _NEWEST = 256
 """Edges that are looked at: those of some thirty keyframes."""
@@ -32,14 +30,13 @@ _ROUNDS = 10
 """Reweightings, after which the covariance changes by less than a hundredth."""
 
 
-def edge_noise(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig) -> EdgeNoise:
+def edge_noise(graph: KeyframeGraph, config: GraphConfig) -> EdgeNoise:
     """Noise of a graph's edges by its newest cycles, or the settings, and by what the sensors leave open.
 
     The covariance is the most likely one if the cycles' errors have a Student distribution, with an inverse
     Wishart prior around the settings'.
 
     Args:
-        params: parameters of tracking.
         graph: with its edges.
         config: settings.
     """
@@ -55,13 +52,11 @@ def edge_noise(params: TrackerParams, graph: KeyframeGraph, config: GraphConfig)
         weight = (_TAIL + 6) / (_TAIL + surprise)
         seen = np.einsum("n,ni,nj->ij", weight, errors, errors) / (3 * len(errors))
         covariance = (_PRIOR_CYCLES * prior + independent * seen) / (_PRIOR_CYCLES + independent)
-    covariance = covariance + _by_sensors(params, graph, newest)
+    covariance = covariance + _by_sensors(graph, newest)
     return EdgeNoise(covariance, max(1.0, len(steady) / max(1, _edges_of_a_tree(steady))))
 
 
-def _by_sensors(
-    params: TrackerParams, graph: KeyframeGraph, edges: Sequence[Edge]
-) -> Float[np.ndarray, "6 6"]:
+def _by_sensors(graph: KeyframeGraph, edges: Sequence[Edge]) -> Float[np.ndarray, "6 6"]:
     """Mean covariance of edges by what is not known yet about the camera's depth and times."""
     if not edges:
         return np.zeros((6, 6))
@@ -71,9 +66,8 @@ def _by_sensors(
         # A delay moves all rows, a read-out the first and the last of them in opposite directions.
         total += (times[0, 0] + (times[1, 1] + times[2, 2]) / 12) * moved.T @ moved
     if len(graph.depth_parameters):
-        unknown = graph.depth.covariance(prior_of(params.config))
         for edge in edges:
-            total += edge.sensitivity @ unknown @ edge.sensitivity.T
+            total += edge.sensitivity @ graph.depth_covariance @ edge.sensitivity.T
     return total / len(edges)
 
 

@@ -8,6 +8,7 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend._pose_source import supports_edge, supports_loop
 from sfgs_jax.slam.keyframes._adjustment import has_landmarks
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_begun, with_frame_passed
+from sfgs_jax.slam.keyframes._depth_drift import with_drift_since
 from sfgs_jax.slam.keyframes._depth_estimate import with_edge_heard, with_new_depth_parameters
 from sfgs_jax.slam.keyframes._edge_noise import edge_noise
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
@@ -60,7 +61,7 @@ def advance_graph(
     # One that is under way is not waited for: the next begins after it.
     if (closed or done or overdue) and graph.adjustment is None:
         graph = with_new_depth_parameters(params, graph)
-        graph = _optimised(params, replace(graph, noise=edge_noise(params, graph, config)), config)
+        graph = _optimised(params, replace(graph, noise=edge_noise(graph, config)), config)
     return graph, closed
 
 
@@ -82,11 +83,12 @@ def _with_heard(graph: KeyframeGraph, pair: RegisteredPair, config: GraphConfig)
     """The graph after the estimates of the camera have heard the edge that a keyframe was tracked by."""
     ends = pair.target, pair.source
     graph, edge = with_edge_heard(graph, pair, config)
-    return replace(
+    graph = replace(
         graph,
         edges=tuple(edge if (e.target, e.source) == ends else e for e in graph.edges),
         tracked=tuple(p for p in graph.tracked if (p.target, p.source) != ends),
     )
+    return with_drift_since(graph, pair.source)
 
 
 def _without_waiting(graph: KeyframeGraph, pair: RegisteredPair) -> KeyframeGraph:

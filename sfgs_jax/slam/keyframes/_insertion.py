@@ -13,6 +13,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import Found, depth_parameters_in_use, estimated_timing
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
+from sfgs_jax.slam.keyframes._depth_drift import carried
 from sfgs_jax.slam.keyframes._edges import edge_of
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
@@ -181,11 +182,15 @@ def _with_keyframe(
         times=new.times,
         edition=0,
     )
+    moved = np.zeros((1, *graph.depth_sensitivities.shape[1:]))
+    if reference < len(graph.keyframes):
+        moved = carried(graph.depth_sensitivities[reference], se3.matrices_of(tracked[None]))
     return replace(
         graph,
         keyframes=(*graph.keyframes, keyframe),
         poses=np.concatenate([graph.poses, pose[None]]),
         covariances=np.concatenate([graph.covariances, covariance]),
+        depth_sensitivities=appended(graph.depth_sensitivities, moved),
         signatures=appended(graph.signatures, np.asarray(new.features.keypoints.signature)[None]),
     )
 

@@ -39,6 +39,7 @@ def joined_graphs(graph: KeyframeGraph, other: KeyframeGraph, shift: int) -> Key
         keyframes=(*graph.keyframes, *after),
         poses=np.concatenate([graph.poses, poses]),
         covariances=np.concatenate([graph.covariances, other.covariances]),
+        depth_sensitivities=np.concatenate([graph.depth_sensitivities, other.depth_sensitivities]),
         signatures=np.concatenate([graph.signatures, other.signatures]),
         edges=absorbed + new,
         num_absorbed=len(absorbed),

@@ -10,6 +10,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import confirms_loop
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_taken
+from sfgs_jax.slam.keyframes._depth_drift import carried
 from sfgs_jax.slam.keyframes._edges import motions_of
 from sfgs_jax.slam.keyframes._loops import agreeing, with_candidate
 from sfgs_jax.slam.keyframes._pair_registration import RegisteredPair
@@ -53,9 +54,10 @@ def merged(graph: KeyframeGraph, maps: Int[np.ndarray, " n"], bridges: Sequence[
     """
     edge, noise = bridges[0], replace(graph.noise, redundancy=1.0)
     T_target_source = se3.matrices_of(motions_of([edge], graph.depth_parameters))[0]
-    fixed, moving, motion = edge.target, edge.source, T_target_source
+    fixed, moving, motion, by_depth = edge.target, edge.source, T_target_source, edge.sensitivity
     if maps[fixed] > maps[moving]:
         fixed, moving, motion = moving, fixed, np.linalg.inv(T_target_source)
+        by_depth = -se3.adjoints_of(T_target_source[None])[0] @ by_depth
     rows = np.flatnonzero(maps == maps[moving])
     T = se3.matrices_of(graph.poses)
     from_moving = np.linalg.inv(T[moving]) @ T[rows]
@@ -66,5 +68,14 @@ def merged(graph: KeyframeGraph, maps: Int[np.ndarray, " n"], bridges: Sequence[
     known = se3.composed_covariances(covariances[[fixed]], motion[None], tie) + covariances[moving]
     known = np.broadcast_to(known, (len(rows), 6, 6))
     covariances[rows] = se3.composed_covariances(known, from_moving, covariances[rows])
+    sensitivities = graph.depth_sensitivities.copy()
+    tied = carried(sensitivities[fixed], motion[None])[0] + by_depth
+    sensitivities[rows] += carried(tied - sensitivities[moving], from_moving)
     edges = tuple(replace(bridge, revisit=True) for bridge in bridges)
-    return replace(graph, poses=poses, covariances=covariances, edges=(*graph.edges, *edges))
+    return replace(
+        graph,
+        poses=poses,
+        covariances=covariances,
+        depth_sensitivities=sensitivities,
+        edges=(*graph.edges, *edges),
+    )

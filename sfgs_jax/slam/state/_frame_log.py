@@ -111,7 +111,8 @@ def newest_covariance(log: FrameLog, graph: KeyframeGraph) -> Float[np.ndarray, 
         graph: their keyframes.
     """
     motion = se3.matrices_of(log.motions[-1:])
-    return se3.composed_covariances(graph.covariances[log.keyframes[-1:]], motion, log.covariances[-1:])[0]
+    known = graph.total_covariances(log.keyframes[-1:])
+    return se3.composed_covariances(known, motion, log.covariances[-1:])[0]
 
 
 def covariances_of(log: FrameLog, graph: KeyframeGraph) -> Float[np.ndarray, "n 6 6"]:
@@ -129,7 +130,8 @@ def covariances_of(log: FrameLog, graph: KeyframeGraph) -> Float[np.ndarray, "n 
         walked = se3.logs_of(off[None])[0].reshape(2, 3)
         variance = np.repeat(np.mean(walked**2, axis=1), 3)
         own[between] += (share * (1 - share))[:, None, None] * np.diag(variance)
-    return se3.composed_covariances(graph.covariances[log.keyframes], se3.matrices_of(log.motions), own)
+    known = graph.total_covariances(log.keyframes)
+    return se3.composed_covariances(known, se3.matrices_of(log.motions), own)
 
 
 def _corrections(

@@ -206,7 +206,8 @@ class KeyframeGraph:
     Attributes:
         keyframes: nodes, oldest first.
         poses: (n, 7) their `T_world_cam` as wxyz_xyz, on the host.
-        covariances: (n, 6, 6) of the poses' tangents, as if the first camera of their map were known.
+        covariances: (n, 6, 6) of the poses' tangents by errors that each registration has of its own, as if
+            the first camera of their map were known.
         signatures: (n, D) of the keyframes' images, side by side for a search.
         edges: registrations that were accepted, in their order.
         noise: of the edges.
@@ -220,6 +221,9 @@ class KeyframeGraph:
         depth: what the registrations said about the distortion of depth.
         focal: what they said about the focal lengths.
         depth_parameters: (G,) of the depth correction that the poses are for.
+        depth_covariance: (G, G) of these parameters.
+        depth_sensitivities: (n, 6, G) derivatives of the poses' tangents by them, as if the first camera of
+            their map were known.
         times_covariance: (3, 3) of the times of the rows as known at the newest keyframe, s²; zeros where
             they are not estimated.
     """
@@ -240,6 +244,8 @@ class KeyframeGraph:
     depth: DepthInformation
     focal: FocalInformation
     depth_parameters: Float[np.ndarray, " G"]
+    depth_covariance: Float[np.ndarray, "G G"]
+    depth_sensitivities: Float[np.ndarray, "n 6 G"]
     times_covariance: Float[np.ndarray, "3 3"]
 
     def __repr__(self) -> str:
@@ -260,6 +266,15 @@ class KeyframeGraph:
     def has_waiting(self) -> bool:
         """True if a pair waits to be registered, or for its equations."""
         return bool(self.tracked or self.pending or self.again)
+
+    def total_covariances(self, numbers: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 6 6"]:
+        """Covariances of some keyframes' poses, with the errors that all registrations have in common.
+
+        Args:
+            numbers: of the keyframes.
+        """
+        moved = self.depth_sensitivities[numbers]
+        return self.covariances[numbers] + moved @ self.depth_covariance @ np.swapaxes(moved, 1, 2)
 
     def pose(self, number: int) -> jaxlie.SE3:
         """`T_world_cam` of a keyframe.
@@ -297,5 +312,7 @@ def empty_graph(
         depth=no_depth_information(depth_parameters),
         focal=FocalInformation(),
         depth_parameters=depth_parameters,
+        depth_covariance=np.zeros(2 * depth_parameters.shape),
+        depth_sensitivities=np.zeros((0, 6, len(depth_parameters))),
         times_covariance=np.zeros((3, 3)),
     )
