@@ -70,7 +70,7 @@ def noticed_after(recording: Recording, max_lag: int) -> int | None:
     synchrony = empty_synchrony(recording.camera)
     for number in range(len(recording)):
         synchrony = watched(synchrony, recording[number], max_lag)
-        if synchrony.lag:
+        if synchrony.refused_lag:
             return number
     return None
 

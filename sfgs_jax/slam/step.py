@@ -8,8 +8,6 @@ import warnings
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from sfgs_jax.arrays import checked_but
 from sfgs_jax.geometry import Frame, warn_unless_metres, warn_unless_unit_colours
 from sfgs_jax.slam._frame_brightness import look_of
@@ -110,7 +108,7 @@ def follow(
         ready = with_pairs_of_known_motion(params, before.graph, before.log.newest)
         registrations.begin(params, ready, config)
     with stages("tracking"):
-        state, found, info, covariance = find_pose(state, frame, number)
+        state, found, info, covariance, by_lag = find_pose(state, frame, number)
     if found is None:
         return Followed(state, info, None)
 
@@ -124,7 +122,7 @@ def follow(
     if info.new_keyframe:
         # The tracker's identity is there already. A new one would wait for what the device computes.
         keyframe, T_keyframe_cam = len(graph.keyframes) - 1, found.tracker.T_reference_cam
-        covariance = np.zeros((6, 6))
+        covariance = by_lag
     look, brighter = look_of(state, frame, keyframe, T_keyframe_cam)
     log = state.log.with_frame(time, number, keyframe, T_keyframe_cam, covariance, brighter)
     view = None

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import cv2
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def lags_of(recording, frames, max_lag=MAX_LAG):
     synchrony, lags = empty_synchrony(recording.camera), []
     for frame in frames:
         synchrony = watched(synchrony, frame, max_lag)
-        lags.append(synchrony.lag)
+        lags.append(synchrony.refused_lag)
     return lags
 
 
@@ -59,6 +60,14 @@ def test_depth_of_another_time_is_noticed_within_a_second(lap, lag):
 def test_depth_of_the_same_time_to_a_frame_is_left_alone(lap, lag):
     recording, frames = lap
     assert not any(lags_of(recording, late(frames, lag)))
+
+
+def test_a_lag_that_is_allowed_is_known_too(lap):
+    recording, frames = lap
+    synchrony = empty_synchrony(recording.camera)
+    for frame in late(frames, 1):
+        synchrony = watched(synchrony, frame, MAX_LAG)
+    assert (synchrony.lag, synchrony.refused_lag) == (1, 0)
 
 
 def test_a_lag_is_over_when_depth_is_in_time_again(lap):
@@ -102,6 +111,59 @@ def test_frames_whose_depth_is_late_are_lost_and_the_reason_is_told(lap, config)
     assert all(info.tracked for info in infos[: told[0]])
     assert state.num_lost == len(told)
     assert np.isinf(np.diag(infos[-1].covariance)).all()
+
+
+@pytest.fixture(scope="module")
+def moving(lap, config):
+    """A state after eight frames, of a camera that moves by 3 cm from one to the next."""
+    recording, frames = lap
+    return steps(recording, frames[:8], config)
+
+
+def with_lag(state, lag):
+    return replace(state, synchrony=replace(empty_synchrony(state.camera), lag=lag))
+
+
+def test_a_pose_with_depth_a_frame_late_is_uncertain_by_the_motion_of_a_frame(lap, moving):
+    state, infos = moving
+    _, frames = lap
+    in_time, late = (slam.step(with_lag(state, lag), frames[8])[1] for lag in (0, 1))
+    assert late.tracked
+    np.testing.assert_array_equal(late.T_world_cam.wxyz_xyz, in_time.T_world_cam.wxyz_xyz)
+    moved = np.asarray(se3.log(se3.compose(se3.inverse(infos[-1].T_world_cam), late.T_world_cam)))
+    np.testing.assert_allclose(
+        late.covariance - in_time.covariance, np.outer(moved, moved), rtol=0.01, atol=5e-6
+    )
+    assert 0.02 < np.linalg.norm(moved[:3]) < 0.04
+
+
+def test_a_lag_that_the_estimate_of_times_explains_costs_nothing(lap, moving):
+    """Two thirds of a frame explain a lag of one, to which it is rounded, and not one of two."""
+    state, _ = moving
+    _, frames = lap
+    delay = jnp.asarray(-0.67 / 30, jnp.float32)
+    explained = eqx.tree_at(lambda s: s.tracker.last_motion.timing.depth_delay, state, delay)
+    in_time, one, two = (slam.step(with_lag(explained, lag), frames[8])[1] for lag in (0, 1, 2))
+    _, unexplained = slam.step(with_lag(state, 1), frames[8])
+    np.testing.assert_array_equal(one.covariance, in_time.covariance)
+    np.testing.assert_array_equal(two.covariance, unexplained.covariance)
+
+
+def test_a_camera_too_fast_for_depth_so_late_is_lost_until_it_is_slow_again(lap, moving):
+    """Depth is three frames late, 9 cm. Then the camera stays where it is."""
+    state, _ = moving
+    _, frames = lap
+    state = with_lag(state, 3)
+    for number in (8, 9):
+        with pytest.warns(UserWarning, match=r"Depth comes 3 frames late against colour\."):
+            state, info = slam.step(state, frames[number])
+        assert not info.tracked
+    for later in range(3):
+        still = replace(frames[9], timestamp=frames[9].timestamp + (1 + later) / 30)
+        state, info, _ = slam.follow(state, still)
+    assert info.tracked
+    truth = np.linalg.inv(lap[0].ground_truth.poses[0]) @ lap[0].ground_truth.poses[9]
+    assert np.linalg.norm(np.asarray(info.T_world_cam.translation()) - truth[:3, 3]) < 0.01
 
 
 @pytest.mark.parametrize(("factor", "word"), [(1.05, "longer"), (0.95, "shorter")])

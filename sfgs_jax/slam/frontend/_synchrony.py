@@ -31,8 +31,7 @@ def watched(synchrony: Synchrony, frame: Frame, max_lag: int) -> Synchrony:
     Args:
         synchrony: before the frame.
         frame: colour and depth.
-        max_lag: frames by which depth may come late or early without a word; `FARTHEST_LAG` or more looks at
-            nothing.
+        max_lag: frames by which depth may come late or early; `FARTHEST_LAG` or more looks at nothing.
     """
     if max_lag >= FARTHEST_LAG:
         return synchrony
@@ -65,12 +64,18 @@ def watched(synchrony: Synchrony, frame: Frame, max_lag: int) -> Synchrony:
     row = np.concatenate([early[::-1], late]).astype(np.float32)
     judged = min(synchrony.num_judged + 1, len(synchrony.agreements))
     agreements = _with(synchrony.agreements, row)
-    lag = _lag(agreements[:judged], synchrony.lag, max_lag)
-    return replace(after, agreements=agreements, num_judged=judged, lag=lag)
+    rows = agreements[:judged]
+    return replace(
+        after,
+        agreements=agreements,
+        num_judged=judged,
+        lag=_lag(rows, synchrony.lag, 0),
+        refused_lag=_lag(rows, synchrony.refused_lag, max_lag),
+    )
 
 
 def _lag(rows: Float[np.ndarray, "f l"], before: int, max_lag: int) -> int:
-    """The lag of depth by the newest frames; as before where they don't tell."""
+    """The lag of depth by the newest frames, beyond that allowed; as before where they don't tell."""
     if len(rows) < _LEAST_FRAMES:
         return before
     none, best = FARTHEST_LAG, int(rows.mean(axis=0, dtype=np.float64).argmax())

@@ -35,6 +35,7 @@ class Synchrony:
         num_judged: rows of it that are filled.
         lag: frames by which depth comes late, negative if it comes early; 0 while the two are of one time,
             as far as can be told.
+        refused_lag: the same, 0 while it may be one that is allowed.
     """
 
     edges: Int8[np.ndarray, "r h w 2"]
@@ -44,6 +45,7 @@ class Synchrony:
     agreements: Float[np.ndarray, "f l"]
     num_judged: int
     lag: int
+    refused_lag: int
 
 
 def empty_synchrony(camera: Camera) -> Synchrony:
@@ -61,6 +63,7 @@ def empty_synchrony(camera: Camera) -> Synchrony:
         agreements=np.zeros((WINDOW, 2 * FARTHEST_LAG + 1), np.float32),
         num_judged=0,
         lag=0,
+        refused_lag=0,
     )
 
 
