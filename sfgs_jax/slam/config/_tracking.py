@@ -176,7 +176,7 @@ class TrackingConfig:
     max_depth_lag: int = 1
     """Frames by which depth may come late or early against colour. Beyond it frames are lost, for their depth
     is of another time. Below it the motion in that time counts in a pose's covariance, as far as
-    `estimate_timing` has not found it. 5 or more looks for no lag."""
+    `estimate_timing` has not found it. With 5 or more no lag is looked for."""
     max_focal_error: float = 0.015
     """Largest error of the focal lengths, as a share, with which frames are believed. If the keyframes show a
     larger one, chance allowed for, frames are lost: their poses would drift, and fit as well as ever. They
