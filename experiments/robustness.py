@@ -1,6 +1,7 @@
 """Perturbed recordings: share tracked, error, poses that are wrong without a word, and time to recover.
 
     python -m experiments.robustness [--sources room redkitchen ...] [--only "motion blur" gap] [--csv FILE]
+        [--timing]
 
 The perturbations of Robust-Ego3D with their published parameters, at severities 1, 3 and 5 and with a new
 severity in each frame ("dynamic"), and faults of stream and calibration besides. The package
@@ -16,7 +17,7 @@ goes on with the same CSV file.
 
 import argparse
 import csv
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -142,12 +143,18 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--severities", nargs="+", choices=["1", "3", "5", "dynamic"], help="all without any")
     parser.add_argument("--frames", type=int, help="first frames of each recording; all without a number")
     parser.add_argument("--csv", type=Path, help="file of the cells; those in it are not run again")
+    parser.add_argument(
+        "--timing", action="store_true", help="estimate times of the rows whatever the preset"
+    )
     options = parser.parse_args(arguments)
     done = read_cells(options.csv)
     for source in options.sources:
         recording = opened(source, options.frames)
         if recording is None:
             continue
+        config = PRESETS[recording.dataset]
+        if options.timing:
+            config = replace(config, tracking=replace(config.tracking, estimate_timing=True))
         print(f"\n{source}, {len(recording)} frames\n")
         print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
         silent = []
@@ -156,7 +163,7 @@ def main(arguments: list[str] | None = None) -> None:
                 if options.severities and str(severity) not in options.severities and name != "none":
                     continue
                 cell = Cell(source, name, severity)
-                found = done.get(cell) or measure(recording, PRESETS[recording.dataset], name, severity)
+                found = done.get(cell) or measure(recording, config, name, severity)
                 if options.csv is not None and cell not in done:
                     append_cell(options.csv, cell, found)
                 print(row(cell, found), flush=True)
