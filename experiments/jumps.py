@@ -6,8 +6,8 @@
 A sequence is five frames in a row, a jump by so many frames of the recording, and four frames in a row. One
 starts at every so many frames. The default is the TartanAir clip at half size, which goes along a wall of
 tiles. A tile is a metre wide, and looks like the next one. A sequence is wrong if a frame after the jump is
-tracked and more than 10 cm off. A wrong frame that rests on the surface alone, or that was found by its looks
-in a keyframe, is counted in a column of its own.
+tracked and more than 10 cm off. Two columns tell how its first wrong frame came to its pose: by the surface
+alone, or by its looks in a keyframe.
 """
 
 import argparse
@@ -20,6 +20,7 @@ import numpy as np
 
 from experiments.matching_tables import print_table
 from experiments.recordings import DATA
+from experiments.robustness_scores import WRONG_M
 from experiments.starts import InMemory, true_poses
 from sfgs_jax import slam
 from sfgs_jax.datasets import Recording, open_recording
@@ -27,8 +28,6 @@ from sfgs_jax.geometry import Camera, Frame, downscale_depth, downscale_rgb, se3
 
 BEFORE, AFTER = 5, 4
 """Frames before a jump and after it."""
-WRONG_M = 0.1
-"""Error of a position from which on a pose is wrong, metres."""
 COLUMNS = ("jump", "way m", "sequences", "tracked %", "wrong", "by the surface alone", "by looks")
 
 

@@ -21,13 +21,11 @@ from jaxtyping import Float
 
 from experiments.matching_tables import print_table
 from experiments.recordings import SOURCES
+from experiments.robustness_scores import WRONG_M
 from sfgs_jax import slam
 from sfgs_jax.datasets import Recording, open_recording
 from sfgs_jax.evaluation import align_points
 from sfgs_jax.geometry import Frame
-
-WRONG_M = 0.1
-"""Error of a position from which on a pose is wrong, metres."""
 
 
 class Walk(NamedTuple):

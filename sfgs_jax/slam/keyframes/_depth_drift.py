@@ -13,7 +13,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 
 
-def carried(
+def drift_of_followers(
     sensitivity: Float[np.ndarray, "6 G"], motions: Float[np.ndarray, "n 4 4"]
 ) -> Float[np.ndarray, "n 6 G"]:
     """How cameras move with a keyframe, as long as their motions from it stay.
@@ -38,6 +38,6 @@ def with_drift_since(graph: KeyframeGraph, first: int) -> KeyframeGraph:
     for number, (keyframe, motion) in enumerate(zip(newest, motions, strict=True), first):
         reference = keyframe.reference
         if reference != number:  # the first of a map stays where it is
-            moved = carried(found[reference], motion[None])[0]
+            moved = drift_of_followers(found[reference], motion[None])[0]
             found[number] = moved + own.get((reference, number), 0.0)
     return replace(graph, depth_sensitivities=found)

@@ -13,7 +13,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import Found, depth_parameters_in_use, estimated_timing
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
-from sfgs_jax.slam.keyframes._depth_drift import carried
+from sfgs_jax.slam.keyframes._depth_drift import drift_of_followers
 from sfgs_jax.slam.keyframes._edges import edge_of
 from sfgs_jax.slam.keyframes._landmarks import share_landmarks
 from sfgs_jax.slam.keyframes._loops import loop_pairs
@@ -184,7 +184,7 @@ def _with_keyframe(
     )
     moved = np.zeros((1, *graph.depth_sensitivities.shape[1:]))
     if reference < len(graph.keyframes):
-        moved = carried(graph.depth_sensitivities[reference], se3.matrices_of(tracked[None]))
+        moved = drift_of_followers(graph.depth_sensitivities[reference], se3.matrices_of(tracked[None]))
     return replace(
         graph,
         keyframes=(*graph.keyframes, keyframe),

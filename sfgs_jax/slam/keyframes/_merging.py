@@ -10,7 +10,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend import confirms_loop
 from sfgs_jax.slam.keyframes._deferred_adjustment import with_adjustment_taken
-from sfgs_jax.slam.keyframes._depth_drift import carried
+from sfgs_jax.slam.keyframes._depth_drift import drift_of_followers
 from sfgs_jax.slam.keyframes._edges import motions_of
 from sfgs_jax.slam.keyframes._loops import agreeing, with_candidate
 from sfgs_jax.slam.keyframes._pair_registration import RegisteredPair
@@ -69,8 +69,8 @@ def merged(graph: KeyframeGraph, maps: Int[np.ndarray, " n"], bridges: Sequence[
     known = np.broadcast_to(known, (len(rows), 6, 6))
     covariances[rows] = se3.composed_covariances(known, from_moving, covariances[rows])
     sensitivities = graph.depth_sensitivities.copy()
-    tied = carried(sensitivities[fixed], motion[None])[0] + by_depth
-    sensitivities[rows] += carried(tied - sensitivities[moving], from_moving)
+    tied = drift_of_followers(sensitivities[fixed], motion[None])[0] + by_depth
+    sensitivities[rows] += drift_of_followers(tied - sensitivities[moving], from_moving)
     edges = tuple(replace(bridge, revisit=True) for bridge in bridges)
     return replace(
         graph,
