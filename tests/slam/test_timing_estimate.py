@@ -63,6 +63,22 @@ def test_the_times_are_found_with_their_uncertainty(tracked):
         np.testing.assert_array_less(abs(off), 4 * sigmas)
 
 
+def test_surfaces_alone_tell_the_readout_and_no_delay(recording, frames, tracking, rng):
+    """A delay only moves what is seen along the way. Noise of the surfaces must not pass for one."""
+    settings = replace(tracking, estimate_timing=True)
+    params = slam.tracker_params(recording.camera, settings)
+    tracker = slam.init_tracker(params)
+    for i, frame in enumerate(frames):
+        noise = rng.random(frame.depth.shape, np.float32)
+        tracker, info = slam.track(params, tracker, noise, frame.depth, np.float32(1 / 30 if i else 0))
+        assert i == 0 or int(info.source) == slam.PoseSource.SURFACE
+    timing, covariance = slam.estimated_timing(params, tracker)
+    delay, _, readout = np.sqrt(np.diag(covariance))
+    assert abs(timing.depth_delay) < 1e-3 * settings.delay_sigma
+    assert delay > 0.98 * settings.delay_sigma
+    assert abs(timing.depth_readout - FAULTS.depth_readout) < 3 * readout < 0.005
+
+
 def test_times_that_would_have_no_effect_are_refused(recording, tracking):
     with pytest.raises(InputError, match="estimate_timing"):
         slam.tracker_params(recording.camera, tracking, SensorModel(SensorTiming(depth_delay=0.01)))

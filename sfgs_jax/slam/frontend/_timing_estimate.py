@@ -26,7 +26,7 @@ from sfgs_jax.sensors import row_places, velocities
 from sfgs_jax.slam.frontend._rectification import with_depth_in_time
 from sfgs_jax.slam.frontend._registration_rows import keypoint_rows, surface_rows
 from sfgs_jax.slam.state._frame_features import FrameFeatures
-from sfgs_jax.slam.state._registration import Registration
+from sfgs_jax.slam.state._registration import PoseSource, Registration
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 
@@ -118,14 +118,18 @@ def _surface_rows(registered: _Registered) -> _Rows:
     camera, T = source.cloud.levels[0].camera, found.T_target_source
     rows = surface_rows(params, source, target, T, moving)
 
-    def by_times(at: Float[Array, "3 N"], pixels: Float[Array, "N 2"], twist: Float[Array, "6"]) -> Array:
-        speed = dot(velocities(at, twist), rows.normals)
+    # Both at one point: two points of a pair are apart by their noise, of which the residual is made as well.
+    def by_times(pixels: Float[Array, "N 2"], twist: Float[Array, "6"]) -> Array:
+        speed = dot(velocities(rows.points, twist), rows.normals)
         share = row_places(pixels[:, 1], camera.height)
         return jnp.stack([speed, jnp.zeros_like(speed), speed * share])
 
     seen = camera.project(se3.transform(T, rows.targets.T))
-    by_source = by_times(rows.points, camera.project(rows.points.T), moving.twist)
-    return _Rows(rows.residual, rows.pose, by_source, -by_times(rows.targets, seen, twist), rows.weight)
+    by_source = by_times(camera.project(rows.points.T), moving.twist)
+    by_target = -by_times(seen, twist)
+    # A surface that does not fit tells of no time.
+    fits = found.source != PoseSource.KEYPOINTS
+    return _Rows(rows.residual, rows.pose, by_source, by_target, jnp.where(fits, rows.weight, 0))
 
 
 def _keypoint_rows(registered: _Registered) -> _Rows:
@@ -141,4 +145,6 @@ def _keypoint_rows(registered: _Registered) -> _Rows:
 
     by_source = -by_times(matched.pixels, moving.twist)
     by_target = by_times(target.keypoints.features.keypoints[matched.index], twist)
-    return _Rows(rows.residual, rows.pose, by_source, by_target, rows.weights)
+    # Keypoints that took no part in the pose are wrong, or contradict the surface for another reason.
+    weights = jnp.where(found.by_keypoints, rows.weights, 0)
+    return _Rows(rows.residual, rows.pose, by_source, by_target, weights)
