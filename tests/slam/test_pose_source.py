@@ -18,6 +18,7 @@ from sfgs_jax.slam.frontend import (
     strengthened,
     supports_edge,
     supports_relocalisation,
+    surface_agrees,
     undisputed,
 )
 from sfgs_jax.slam.state import PoseSource
@@ -167,6 +168,13 @@ def test_frames_in_a_row_strengthen_a_suspicion_as_far_as_the_camera_may_have_mo
         suspicion = strengthened(suspicion, at(metres), seconds, graph)
         counts.append(int(suspicion.frames))
     assert counts == [1, 2, 1, 2, 3]
+
+
+def test_far_from_the_guess_half_as_many_points_may_disagree():
+    config = TrackingConfig(min_agreement=0.75)
+    for agreement, near, far in [(0.74, False, False), (0.8, True, False), (0.88, True, True)]:
+        assert bool(surface_agrees(jnp.asarray(agreement), config)) == near
+        assert bool(surface_agrees(jnp.asarray(agreement), config, near_guess=False)) == far
 
 
 def takes_part(inliers, matches, detected, agreement, near_guess=True):

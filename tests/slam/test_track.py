@@ -115,3 +115,20 @@ def test_the_motion_model_is_a_velocity(params, sequence):
     assert int(info.source) != PoseSource.LOST
     assert int(found.lost_in_a_row) == 0
     np.testing.assert_allclose(found.motion_seconds, 2 * SECONDS, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("periods", "source"), [(1, PoseSource.SURFACE), (4, PoseSource.LOST)])
+def test_after_missing_frames_the_surface_alone_has_to_agree_twice_as_well(
+    params, sequence, rng, periods, source
+):
+    """A quarter of the image has come nearer, and no keypoint is left of what was there."""
+    grey, depth, elapsed = sequence
+    tracker = slam.init_tracker(params)
+    for i in range(3):
+        tracker, _ = slam.track(params, tracker, grey[i], depth[i], elapsed[i])
+    noise = rng.random(grey[3].shape, np.float32)
+    quarter = depth.shape[2] // 4
+    nearer = depth[3].at[:, :quarter].multiply(0.7)
+    _, info = slam.track(params, tracker, noise, nearer, periods * SECONDS)
+    assert 0.76 < info.registration.agreement < 0.86
+    assert info.source == source

@@ -147,7 +147,7 @@ class TrackingConfig:
     """Least share of surface inliers where no keypoints confirm GICP. Surfaces alone fit in many places."""
     min_agreement: float = 0.75
     """Least share of surface inliers among the points that the reference shows, where no keypoints confirm
-    GICP for sure."""
+    GICP for sure. After lost or missing frames the camera may be anywhere. Then half as many may disagree."""
     max_velocity_change: float = 2.0
     """Largest change of the camera's velocity since the last tracked frame where the keypoints are not sure,
     m/s. A place that only looks like the right one is seldom so near the prediction."""

@@ -48,10 +48,10 @@ class Allowed(NamedTuple):
     Attributes:
         surface: whether the surface alone may give the pose.
         motion_model: whether the motion model may fill the directions that the surface leaves free.
-        near_guess: whether the camera is near the guess: it was seen in the frame before. One that was lost
-            may be anywhere, and a few matches agree in many places. Then keypoints count only if many agree,
-            most of those that look alike, and the surface with them. The surface alone gives no pose where
-            many keypoints match and fit no motion.
+        near_guess: whether the camera is near the guess: it was seen in the frame before, and none is missing
+            between. Otherwise it may be anywhere, and a few matches agree in many places. Then keypoints
+            count only if many agree, most of those that look alike, and the surface with them. The surface
+            alone gives no pose where many keypoints match and fit no motion, and has to agree twice as well.
         doubtful_scale: whether the sensor seems to have changed its scale of depth. Then nothing is believed
             but what shows the scale to be the same.
     """
@@ -126,6 +126,7 @@ def _register(
     keypoints = keypoints_take_part(matched, fraction, agreement, num_free, allowed.near_guess, config)
     T = _choose(keypoints, surface.T_target_source, _held_at_guess(surface, guess))
     fits = surface_fits(fraction, config)
+    anywhere = surface_agrees(agreement, config, near_guess=False) & ~many_matches
     evidence = Evidence(
         keypoints=keypoints,
         many_keypoints=many & (keypoints_are_sure(matched, features) | ~fits),
@@ -133,7 +134,7 @@ def _register(
         agree=_agree(params, source, target, matched, T, sweep),
         surface_alone=_stands_alone(surface, agreement, _apart(guess, T), config),
         free=num_free > 0,
-        surface_allowed=jnp.asarray(allowed.surface) & (allowed.near_guess | ~many_matches),
+        surface_allowed=jnp.asarray(allowed.surface) & (allowed.near_guess | anywhere),
         motion_model_allowed=jnp.asarray(allowed.motion_model) & ~denied,
     )
     by_surface = rests_on_surface(evidence)

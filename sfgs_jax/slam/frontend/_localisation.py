@@ -210,6 +210,8 @@ def search_by_surface(params: TrackerParams, tracker: Tracker, features: FrameFe
     target = rectified_last(params, tracker) if bridged else reference_at(tracker, tracker.current)
     pose = tracker.T_world_cam.wxyz_xyz if bridged else tracker.reference_poses[tracker.current]
     keyframe = tracker.num_keyframes if bridged else tracker.reference_keyframes[tracker.current]
+    # It is not near any of these guesses, but in reach of them.
+    allowed = allowed._replace(near_guess=np.asarray(False))
     for turn in config.search_angle * _TURNS:
         start = se3.exp(turn) if bridged else se3.compose(tracker.T_reference_cam, se3.exp(turn))
         found = register(params, features, target, start, allowed)

@@ -80,14 +80,18 @@ def keypoints_are_sure(matched: FeatureRegistration, config: FeaturesConfig) -> 
     return _share_of_all(matched) >= config.min_inlier_share_sure
 
 
-def surface_agrees(agreement: Float[Array, ""], config: TrackingConfig) -> Bool[Array, ""]:
+def surface_agrees(
+    agreement: Float[Array, ""], config: TrackingConfig, *, near_guess: bool = True
+) -> Bool[Array, ""]:
     """True if the surface lies where the reference shows one.
 
     Args:
         agreement: share of surface inliers among the points that the reference shows.
         config: settings.
+        near_guess: whether the camera is near the guess. Elsewhere half as many points may disagree.
     """
-    return agreement >= config.min_agreement
+    disagreeing = (1 - config.min_agreement) * (1.0 if near_guess else 0.5)
+    return agreement >= 1 - disagreeing
 
 
 def surface_fits(fraction: Float[Array, ""], config: TrackingConfig) -> Bool[Array, ""]:

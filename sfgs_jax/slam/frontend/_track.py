@@ -38,6 +38,10 @@ _BY_LAST = 2
 """Number of the first attempt that registers to the last frame instead of the reference."""
 
 
+_MISSING = 1.5
+"""Time since the last frame, in times between two frames, above which a frame between is missing."""
+
+
 class TrackInfo(eqx.Module):
     """What happened to a frame.
 
@@ -215,9 +219,15 @@ def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
     return Allowed(
         surface=recent | (not has_keypoints),
         motion_model=carried & tracker.has_motion,
-        near_guess=tracker.lost_in_a_row == 0,
+        near_guess=(tracker.lost_in_a_row == 0) & ~_misses_frames(tracker),
         doubtful_scale=tracker.doubtful_scale,
     )
+
+
+def _misses_frames(tracker: Tracker) -> Bool[Array, ""]:
+    """True if the time since the last frame says that others came between: they are like lost ones."""
+    known = tracker.motion_seconds > 0
+    return known & (tracker.since_tracked > _MISSING * tracker.motion_seconds)
 
 
 def _starts(tracker: Tracker) -> Float[Array, "4 7"]:
