@@ -36,8 +36,6 @@ from sfgs_jax.superfeats import Features
 
 _BY_LAST = 2
 """Number of the first attempt that registers to the last frame instead of the reference."""
-
-
 _MISSING = 1.5
 """Time since the last frame, in times between two frames, above which a frame between is missing."""
 
