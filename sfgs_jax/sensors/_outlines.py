@@ -37,6 +37,14 @@ class Outlines(NamedTuple):
         """
         return Outlines(self.pixels[::step], self.across[::step])
 
+    def moved(self, by: int) -> "Outlines":
+        """The same, moved across the outlines towards what is near.
+
+        Args:
+            by: pixels.
+        """
+        return Outlines(np.rint(self.pixels + by * self.across).astype(self.pixels.dtype), self.across)
+
 
 @checked
 def colour_edges(grey: UInt8[np.ndarray, "h w"]) -> Int8[np.ndarray, "h w 2"]:

@@ -60,6 +60,16 @@ def test_outlines_lie_on_the_near_side_and_point_across():
     np.testing.assert_allclose(np.abs(outlines.across[at_the_left]), [[1, 0]] * at_the_left.sum(), atol=1e-3)
 
 
+def test_outlines_move_across_to_the_far_side():
+    outlines = depth_outlines(picture(120, 150)[1])
+    far, near = outlines.moved(-2), outlines.moved(2)
+    left = (outlines.pixels[:, 0] < 123) & (outlines.pixels[:, 1] > 160) & (outlines.pixels[:, 1] < 200)
+    for moved, by in ((far, -2), (near, 2)):
+        off = moved.pixels[left] - outlines.pixels[left]
+        np.testing.assert_array_equal(off, [[by, 0]] * left.sum())
+        np.testing.assert_array_equal(moved.across, outlines.across)
+
+
 @pytest.mark.parametrize("unit", [1e-30, 1e3, 1e30])
 def test_the_unit_of_depth_does_not_matter_nor_do_holes_behind_an_outline(unit):
     _, depth = picture(120, 150)

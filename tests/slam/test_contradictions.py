@@ -70,6 +70,15 @@ def test_a_lag_that_is_allowed_is_known_too(lap):
     assert (synchrony.lag, synchrony.refused_lag) == (1, 0)
 
 
+def test_a_slow_way_past_outlines_on_one_side_tells_no_lag():
+    """In a corridor all that is near lies on one side, and moves by a pixel from frame to frame."""
+    recording = SyntheticRecording(place="building", num_frames=10000, width=160, height=120)
+    synchrony = empty_synchrony(recording.camera)
+    for number in range(476, 524):
+        synchrony = watched(synchrony, recording[number], MAX_LAG)
+        assert synchrony.lag == 0
+
+
 def test_a_lag_is_over_when_depth_is_in_time_again(lap):
     recording, frames = lap
     # Back and forth, so that the second half shows what the first did.
