@@ -164,6 +164,24 @@ def test_the_next_adjustment_begins_after_the_one_under_way(run, config):
     assert graph.adjustment is None
 
 
+@pytest.mark.parametrize(("new", "begins"), [(9, False), (10, True)])
+def test_many_new_edges_wait_for_no_other_pair(run, config, new, begins):
+    """A camera that takes a keyframe every few frames always has pairs that wait."""
+    first = run.graph.edges[0]
+    graph = replace(
+        run.graph,
+        edges=(first,) * (new + 2),
+        num_absorbed=2,
+        pending=((first.target, first.source),),
+        tracked=(),
+        adjustment=None,
+    )
+    graph, _ = advance_graph(run.params, graph, config.graph, grown=False, registered=())
+    assert graph.pending
+    assert (graph.adjustment is not None) is begins
+    assert graph.num_absorbed == (new + 2 if begins else 2)
+
+
 def test_a_bent_graph_has_more_time_the_larger_it_is(run, config):
     assert len(run.graph.keyframes) == 5
     settings = replace(config.graph, adjustment_frames=3, window=2)

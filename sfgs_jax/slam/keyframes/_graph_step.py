@@ -1,4 +1,4 @@
-"""The graph's work after a frame: a few registrations, and once none is left, its optimisation."""
+"""The graph's work after a frame: a few registrations, and its optimisation after those of a keyframe."""
 
 from dataclasses import replace
 
@@ -19,6 +19,9 @@ from sfgs_jax.slam.keyframes._pose_graph import compile_ahead, is_contradicted, 
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._tracker import TrackerParams
 
+_MANY_NEW = 10
+"""New edges after which an optimisation waits for no more: a keyframe brings about as many."""
+
 
 def advance_graph(
     params: TrackerParams,
@@ -30,7 +33,8 @@ def advance_graph(
 ) -> tuple[KeyframeGraph, bool]:
     """Take a few registrations of keyframes. Once no new pair waits, and once none does, optimise.
 
-    Optimising is put off while an adjustment is under way.
+    Where keyframes come fast some pair always waits. There many new edges are enough. Optimising is put off
+    while an adjustment is under way.
 
     Args:
         params: parameters of tracking.
@@ -57,7 +61,8 @@ def advance_graph(
             graph, closed_now = _with_registered(_without_waiting(graph, pair), pair, config)
             closed |= closed_now
     done = not graph.pending and (waited or grown or (waited_again and not graph.again))
-    overdue = not (graph.pending or graph.again) and graph.num_absorbed < len(graph.edges)
+    new, waits = len(graph.edges) - graph.num_absorbed, bool(graph.pending or graph.again)
+    overdue = new >= _MANY_NEW or (new > 0 and not waits)
     # One that is under way is not waited for: the next begins after it.
     if (closed or done or overdue) and graph.adjustment is None:
         graph = with_new_depth_parameters(params, graph)
