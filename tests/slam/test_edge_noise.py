@@ -38,16 +38,20 @@ def truth():
     return SCALES[:, None] * (root @ root.T) * SCALES
 
 
-@pytest.fixture(scope="module")
-def graph(truth, room, config):
-    """A camera on an arc, each keyframe registered to the four before it."""
+def on_an_arc(room, config, covariance, count):
+    """The graph of a camera on an arc, each keyframe registered to the four before it, with such errors."""
     rng = np.random.default_rng(4)
-    tangents = jnp.asarray(np.outer(np.arange(COUNT), [0.1, 0, 0.02, 0, 0.05, 0]), jnp.float32)
+    tangents = jnp.asarray(np.outer(np.arange(count), [0.1, 0, 0.02, 0, 0.05, 0]), jnp.float32)
     poses = se3.to_matrices(se3.exp(tangents))
-    pairs = [(a, b) for b in range(COUNT) for a in range(max(0, b - REACH), b)]
-    errors = rng.multivariate_normal(np.zeros(6), truth, len(pairs))
+    pairs = [(a, b) for b in range(count) for a in range(max(0, b - REACH), b)]
+    errors = rng.multivariate_normal(np.zeros(6), covariance, len(pairs))
     # Short motions commute nearly, so that the errors around a cycle simply add up.
     return replace(slam.init(room.camera, config).graph, edges=edges_with(errors, pairs, poses))
+
+
+@pytest.fixture(scope="module")
+def graph(truth, room, config):
+    return on_an_arc(room, config, truth, COUNT)
 
 
 def test_the_cycles_tell_the_covariance(graph, truth, config):
@@ -57,6 +61,15 @@ def test_the_cycles_tell_the_covariance(graph, truth, config):
     root = np.linalg.inv(np.linalg.cholesky(truth))
     ratios = np.sqrt(np.linalg.eigvalsh(root @ noise.covariance @ root.T))
     assert 0.67 < ratios.min() < ratios.max() < 1.33
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 10.0])
+def test_few_cycles_tell_its_size(truth, room, config, size):
+    """The settings are off by up to twenty times; a dozen keyframes know better."""
+    graph = on_an_arc(room, config, size**2 * truth, 12)
+    found, usual = edge_noise(graph, config.graph).covariance, prior_noise(config.graph).covariance
+    sizes = [np.sqrt(np.trace(np.linalg.solve(usual, covariance))) for covariance in (found, truth)]
+    assert sizes[0] / sizes[1] == pytest.approx(size, rel=0.3)
 
 
 def test_wrong_edges_tell_little(graph, config, rng):

@@ -22,8 +22,10 @@ from sfgs_jax.slam.state._keyframe_graph import Edge, EdgeNoise, KeyframeGraph
 _NEWEST = 256
 """Edges that are looked at: those of some thirty keyframes."""
 _PRIOR_CYCLES = 10
-"""Cycles that weigh as much as what the settings say. It takes about as many numbers to know a variance to a
-third of it."""
+"""Cycles that weigh as much as what the settings say about the axes. It takes about as many numbers to know a
+variance to a third of it."""
+_PRIOR_SIZES = 1
+"""Cycles that weigh as much as what the settings say about the size: it differs tenfold between cameras."""
 _TAIL = 5
 """Degrees of freedom of the Student distribution of the cycles' errors; some go through wrong edges."""
 _ROUNDS = 10
@@ -33,8 +35,8 @@ _ROUNDS = 10
 def edge_noise(graph: KeyframeGraph, config: GraphConfig) -> EdgeNoise:
     """Noise of a graph's edges by its newest cycles, or the settings, and by what the sensors leave open.
 
-    The covariance is the most likely one if the cycles' errors have a Student distribution, with an inverse
-    Wishart prior around the settings'.
+    The covariance is the most likely one if the cycles' errors have a Student distribution. Its prior is an
+    inverse Wishart distribution around the settings', times a size that the cycles soon tell.
 
     Args:
         graph: with its edges.
@@ -45,12 +47,14 @@ def edge_noise(graph: KeyframeGraph, config: GraphConfig) -> EdgeNoise:
     # A tree of edges closes no cycle; each edge beyond it closes one.
     independent = len(newest) - _edges_of_a_tree(newest)
     errors, prior = _around(newest, graph.depth_parameters), prior_noise(config).covariance
-    covariance = prior
+    usual = covariance = prior
     for _ in range(_ROUNDS if len(errors) else 0):
         # Three edges err around a cycle.
         surprise = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(3 * covariance), errors)
         weight = (_TAIL + 6) / (_TAIL + surprise)
         seen = np.einsum("n,ni,nj->ij", weight, errors, errors) / (3 * len(errors))
+        size = np.trace(np.linalg.solve(usual, seen)) / 6
+        prior = usual * (_PRIOR_SIZES + independent * size) / (_PRIOR_SIZES + independent)
         covariance = (_PRIOR_CYCLES * prior + independent * seen) / (_PRIOR_CYCLES + independent)
     covariance = covariance + _by_sensors(graph, newest)
     return EdgeNoise(covariance, max(1.0, len(steady) / max(1, _edges_of_a_tree(steady))))
