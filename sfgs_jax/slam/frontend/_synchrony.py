@@ -25,8 +25,8 @@ _SIGMAS = 3.0
 _NEAR_SIDE = 1
 """Pixels by which outlines, found in what is near, lie beside the edges in colour."""
 _BESIDE = (-1, 0, 1)
-"""Pixels by which outlines of one time with the colours may lie beside their edges. Where the camera moves
-slowly, and all outlines have their near side on one side, a lag would look the same."""
+"""Pixels by which outlines of one time with the colours may lie beside their edges. A lag looks the same if
+the camera moves slowly and all outlines have their near side on one side."""
 
 
 def watched(synchrony: Synchrony, frame: Frame, max_lag: int) -> Synchrony:

@@ -33,8 +33,8 @@ def advance_graph(
 ) -> tuple[KeyframeGraph, bool]:
     """Take a few registrations of keyframes. Once no new pair waits, and once none does, optimise.
 
-    Where keyframes come fast some pair always waits. There many new edges are enough. Optimising is put off
-    while an adjustment is under way.
+    Many new edges are enough, for some pair always waits if keyframes come fast. Optimising is put off while
+    an adjustment is under way.
 
     Args:
         params: parameters of tracking.
