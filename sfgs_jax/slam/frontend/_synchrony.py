@@ -24,7 +24,7 @@ _SIGMAS = 3.0
 """Standard errors by which a lag must fit better than another for it to be given up."""
 _NEAR_SIDE = 1
 """Pixels by which outlines, found in what is near, lie beside the edges in colour."""
-_BESIDE = (-1, 0, 1)
+_BESIDE = (-2, -1, 0, 1, 2)
 """Pixels by which outlines of one time with the colours may lie beside their edges. A lag looks the same if
 the camera moves slowly and all outlines have their near side on one side."""
 
