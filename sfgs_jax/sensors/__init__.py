@@ -9,6 +9,7 @@ from sfgs_jax.sensors._depth_correction import DEPTH_GRID as DEPTH_GRID
 from sfgs_jax.sensors._depth_correction import DepthCorrection as DepthCorrection
 from sfgs_jax.sensors._depth_correction import corrected_depth as corrected_depth
 from sfgs_jax.sensors._depth_correction import grid_shares as grid_shares
+from sfgs_jax.sensors._depth_correction import grid_values as grid_values
 from sfgs_jax.sensors._depth_in_time import depth_in_time as depth_in_time
 from sfgs_jax.sensors._depth_registration import depth_slopes as depth_slopes
 from sfgs_jax.sensors._exposure import fitted_gain as fitted_gain

@@ -3,8 +3,9 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.lax import Precision
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from sfgs_jax.arrays import checked
 from sfgs_jax.geometry import Camera, clean_depth
@@ -58,9 +59,10 @@ class DepthCorrection(eqx.Module):
         Args:
             camera: whose images are corrected, at any resolution.
         """
-        rows, columns = self.offsets.shape
-        down = _shares(jnp.arange(camera.height, dtype=self.offsets.dtype), camera.height, rows)
-        across = _shares(jnp.arange(camera.width, dtype=self.offsets.dtype), camera.width, columns)
+        down, across = (
+            _shares(_places(jnp.arange(size, dtype=self.offsets.dtype), size, nodes), nodes)
+            for size, nodes in zip((camera.height, camera.width), self.offsets.shape, strict=True)
+        )
         by_row = jnp.matmul(down.T, self.offsets, precision=Precision.HIGHEST)
         return jnp.matmul(by_row, across, precision=Precision.HIGHEST)
 
@@ -71,9 +73,7 @@ class DepthCorrection(eqx.Module):
             pixels: (u, v); those beyond the borders count as on them.
             camera: of the image.
         """
-        rows, columns = self.offsets.shape
-        shares = grid_shares(pixels, camera, (rows, columns))
-        return jnp.matmul(self.offsets.reshape(-1), shares, precision=Precision.HIGHEST)
+        return grid_values(self.offsets[None], jnp.zeros(len(pixels), jnp.int32), pixels, camera)
 
     def corrected(self, depth: Float[Array, "H W"], camera: Camera) -> Float[Array, "H W"]:
         """Depth without the distortion in colour's camera, metres; behind infinity it is missing, 0.
@@ -102,6 +102,33 @@ def corrected_depth(depth: Float[Array, "*n"], offsets: Float[Array, "*n"]) -> F
 
 
 @checked
+def grid_values(
+    grids: Float[Array, "n R C"], numbers: Int[Array, " N"], pixels: Float[Array, "N 2"], camera: Camera
+) -> Float[Array, " N"]:
+    """Values of grids at some pixels, interpolated linearly between their nodes.
+
+    Args:
+        grids: values of the nodes.
+        numbers: of the grid that each pixel asks.
+        pixels: (u, v); those beyond the borders count as on them.
+        camera: of the image.
+    """
+    _, rows, columns = grids.shape
+    across, down = _places(pixels[:, 0], camera.width, columns), _places(pixels[:, 1], camera.height, rows)
+    left, above = (
+        jnp.clip(lax.stop_gradient(jnp.floor(places)), 0, max(nodes - 2, 0))
+        for places, nodes in ((across, columns), (down, rows))
+    )
+    first = (numbers * rows + above.astype(jnp.int32)) * columns + left.astype(jnp.int32)
+    nodes = grids.reshape(-1)
+    right, below = across - left, down - above
+    upper, lower = (
+        nodes[first + step] * (1 - right) + nodes[first + step + 1] * right for step in (0, columns)
+    )
+    return upper * (1 - below) + lower * below
+
+
+@checked
 def grid_shares(
     pixels: Float[Array, "N 2"], camera: Camera, shape: tuple[int, int] = DEPTH_GRID
 ) -> Float[Array, "G N"]:
@@ -112,12 +139,18 @@ def grid_shares(
         camera: of the image.
         shape: rows and columns of the grid.
     """
-    down = _shares(pixels[:, 1], camera.height, shape[0])
-    across = _shares(pixels[:, 0], camera.width, shape[1])
-    return (down[:, None] * across[None]).reshape(shape[0] * shape[1], -1)
+    rows, columns = shape
+    places = _places(pixels[:, 0], camera.width, columns), _places(pixels[:, 1], camera.height, rows)
+    # In a loop, since XLA on CPU would otherwise compute these shares anew for each node of the grid.
+    across, down = lax.map(lambda at: _shares(at, max(shape)), jnp.stack(places))
+    return (down[:rows, None] * across[None, :columns]).reshape(rows * columns, -1)
 
 
-def _shares(positions: Float[Array, " n"], size: int, nodes: int) -> Float[Array, "k n"]:
-    """Linear interpolation along one axis: the share of each node at some positions, pixels."""
-    places = jnp.clip((positions + 0.5) / size, 0, 1) * (nodes - 1)
+def _places(positions: Float[Array, " n"], size: int, nodes: int) -> Float[Array, " n"]:
+    """Positions along one axis, pixels, in steps of the grid from its first node."""
+    return jnp.clip((positions + 0.5) / size, 0, 1) * (nodes - 1)
+
+
+def _shares(places: Float[Array, " n"], nodes: int) -> Float[Array, "k n"]:
+    """Linear interpolation along one axis: the share of each node at some places."""
     return jnp.maximum(1 - jnp.abs(places[None] - jnp.arange(nodes, dtype=places.dtype)[:, None]), 0)

@@ -15,6 +15,7 @@ corrected = jax.jit(DepthCorrection.corrected)
 image_of = jax.jit(DepthCorrection.image)
 offsets_at = jax.jit(DepthCorrection.at)
 grid_shares = jax.jit(sensors.grid_shares)
+grid_values = jax.jit(sensors.grid_values)
 
 CAMERA = Camera(130.0, 130.0, 79.5, 59.5, width=160, height=120)
 
@@ -63,6 +64,16 @@ def test_offsets_at_pixels_are_those_of_the_image(correction):
     shares = grid_shares(pixels, CAMERA)
     np.testing.assert_allclose(np.asarray(shares).sum(0), 1, atol=1e-6)
     np.testing.assert_allclose(np.asarray(correction.offsets).ravel() @ np.asarray(shares), image, atol=1e-8)
+
+
+def test_each_pixel_gets_the_value_of_the_grid_that_it_asks(rng):
+    grids = jnp.asarray(rng.normal(size=(3, *DEPTH_GRID)), jnp.float32)
+    pixels = jnp.asarray(rng.uniform(-20, 180, (400, 2)), jnp.float32)
+    numbers = rng.integers(0, 3, 400)
+    shares = np.asarray(grid_shares(pixels, CAMERA))
+    by_shares = np.einsum("ng,gn->n", np.asarray(grids).reshape(3, -1)[numbers], shares)
+    found = grid_values(grids, jnp.asarray(numbers), pixels, CAMERA)
+    np.testing.assert_allclose(found, by_shares, atol=2e-6)
 
 
 def test_the_offsets_are_the_same_at_every_resolution(correction):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
 from sfgs_jax.arrays import rounded_up
 from sfgs_jax.factor_graph.factors._factor import Factor
@@ -104,8 +104,11 @@ def lay_out(factors: Sequence[Factor], num_poses: int, num_landmarks: int, given
     )
 
 
-def _tracks(factors: Sequence[Factor], num_landmarks: int, num_poses: int) -> dict[int, list[int]]:
-    """Poses that see each landmark, in order; none for a landmark whose factors have no pose."""
+def _tracks(factors: Sequence[Factor], num_poses: int) -> dict[int, int]:
+    """Poses that see each landmark, as the bits of a number, the first pose the highest of P.
+
+    It is 0 for a landmark whose factors have no pose.
+    """
     pairs, alone = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     for f in factors:
         if f.landmarks is not None:
@@ -114,43 +117,55 @@ def _tracks(factors: Sequence[Factor], num_landmarks: int, num_poses: int) -> di
             alone.append(landmarks)
             # As single numbers they are sorted five times as fast as in two columns.
             pairs.append((landmarks[:, None] * num_poses + poses).reshape(-1))
-    seen, poses = np.divmod(np.unique(np.concatenate(pairs)), num_poses)
-    starts, listed = np.searchsorted(seen, np.arange(num_landmarks + 1)).tolist(), poses.tolist()
-    return {i: listed[starts[i] : starts[i + 1]] for i in np.unique(np.concatenate(alone)).tolist()}
+    tracks = dict.fromkeys(np.concatenate(alone).tolist(), 0)
+    sorted_pairs = np.sort(np.concatenate(pairs))
+    seen, poses = np.divmod(sorted_pairs[_is_new(sorted_pairs)], num_poses)
+    # Numbers of Python, which have as many bits as there are poses.
+    bits = np.asarray([1 << place for place in reversed(range(num_poses))], object)[poses]
+    starts = np.flatnonzero(_is_new(seen))
+    if len(starts):
+        tracks |= zip(seen[starts].tolist(), np.add.reduceat(bits, starts).tolist(), strict=True)
+    return tracks
+
+
+def _is_new(numbers: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """True for each of some numbers, none negative and in order, that differs from the one before."""
+    return np.diff(numbers, prepend=-1) > 0
 
 
 def _cluster_landmarks(factors: Sequence[Factor], num_landmarks: int, num_poses: int) -> _Clusters:
     """Greedy clustering of landmarks by the poses that see them."""
-    tracks = _tracks(factors, num_landmarks, num_poses)
-
+    tracks = _tracks(factors, num_poses)
     cluster_of = np.full(num_landmarks, -1, np.int64)
     place_of = np.zeros(num_landmarks, np.int64)
-    limit = max(CLUSTER_POSES, max((len(t) for t in tracks.values()), default=0))
-    # Sets of poses as the bits of a number: their union is counted in one instruction.
+    limit = max(CLUSTER_POSES, max((track.bit_count() for track in tracks.values()), default=0))
     poses_of: list[int] = []
     sizes: list[int] = []
     # Where all pairs of poses have a slot, a cluster may as well hold landmarks that lie apart.
     unfilled: deque[int] = deque(maxlen=_UNFILLED if num_poses <= ALL_PAIRS else 1)
     # Tracks in order of their first poses lie together.
-    for landmark, track in sorted(tracks.items(), key=lambda item: item[1]):
-        poses = sum(1 << pose for pose in track)
-        fits = (c for c in reversed(unfilled) if (poses_of[c] | poses).bit_count() <= limit)
-        cluster = next(fits, len(sizes))
-        if cluster == len(sizes):
+    for landmark in sorted(tracks, key=tracks.__getitem__, reverse=True):
+        track = tracks[landmark]
+        for cluster in reversed(unfilled):
+            # The poses of both, counted in one instruction.
+            if (poses_of[cluster] | track).bit_count() <= limit:
+                break
+        else:
+            cluster = len(sizes)
             poses_of.append(0)
             sizes.append(0)
             unfilled.append(cluster)
-        poses_of[cluster] |= poses
+        poses_of[cluster] |= track
         cluster_of[landmark], place_of[landmark] = cluster, sizes[cluster]
         sizes[cluster] += 1
         if sizes[cluster] == CLUSTER_LANDMARKS:
             unfilled.remove(cluster)
-    return _Clusters(cluster_of, place_of, [_bits(poses) for poses in poses_of])
+    return _Clusters(cluster_of, place_of, [_poses_in(track, num_poses) for track in poses_of])
 
 
-def _bits(number: int) -> list[int]:
-    """Places of the bits that are set, in order."""
-    return [place for place, bit in enumerate(reversed(bin(number)[2:])) if bit == "1"]
+def _poses_in(track: int, num_poses: int) -> list[int]:
+    """Poses whose bits are set, in order."""
+    return [pose for pose, bit in enumerate(f"{track:0{num_poses}b}") if bit == "1"]
 
 
 def _padded_poses(clusters: _Clusters, num_poses: int, given: Capacities) -> Int[np.ndarray, "C w"]:

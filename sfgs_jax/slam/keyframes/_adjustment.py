@@ -23,7 +23,7 @@ from sfgs_jax.factor_graph import (
     marginal_covariances,
     solve,
 )
-from sfgs_jax.sensors import corrected_depth, depth_slopes, grid_shares
+from sfgs_jax.sensors import DEPTH_GRID, corrected_depth, depth_slopes, grid_values
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._covariances import best_known
 from sfgs_jax.slam.keyframes._edges import relative_poses
@@ -94,13 +94,14 @@ def adjust(params: TrackerParams, window: Window) -> Adjusted:
     seen = _reprojections(window.graph)
     depth = seen.depth
     if window.depth_parameters.shape[1]:
-        pixels, camera = jnp.asarray(seen.pixels), params.camera
-        changes = jnp.asarray(window.depth_parameters)[jnp.asarray(seen.poses)[:, 0]].T
-        depth = corrected_depth(depth, jnp.sum(grid_shares(pixels, camera) * changes[:-6], axis=0))
+        pixels, camera, by = jnp.asarray(seen.pixels), params.camera, jnp.asarray(seen.poses)[:, 0]
+        changes = jnp.asarray(window.depth_parameters)
+        grids = changes[:, :-6].reshape(-1, *DEPTH_GRID)
+        depth = corrected_depth(depth, grid_values(grids, by, pixels, camera))
         slopes = depth_slopes(
             camera.unproject(pixels, jnp.where(depth > 0, depth, 1)).T, jnp.asarray(window.normals).T
         )
-        depth = depth * (1 + jnp.sum(slopes * changes[-6:], axis=0))
+        depth = depth * (1 + jnp.sum(slopes * changes[:, -6:][by].T, axis=0))
     graph = eqx.tree_at(
         lambda g: (_reprojections(g).camera, _reprojections(g).depth), window.graph, (params.camera, depth)
     )

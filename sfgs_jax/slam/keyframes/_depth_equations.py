@@ -111,21 +111,38 @@ def _normal_matrices(
 
     The last is the variance of the surface's residuals over what is expected of them.
     """
-    matrices = []
-    surface, by_surface, excess = _surface_rows(params, source, target, found)
-    for rows, weight in ((surface, by_surface), _keypoint_rows(params, source, target, found)):
-        rows = jnp.where(weight[None] > 0, rows, 0)
-        matrices.append(jnp.matmul(rows * weight[None], rows.T, precision=Precision.HIGHEST))
-    return matrices[0], matrices[1], excess
+    surface, excess = _surface_rows(params, source, target, found)
+    keypoints = _keypoint_rows(params, source, target, found)
+    return surface.normal_matrix(), reduce(jnp.add, [rows.normal_matrix() for rows in keypoints]), excess
+
+
+class _Rows(NamedTuple):
+    """Residuals with their derivatives, and their weights. To join them would take longer than the products.
+
+    Attributes:
+        pose: (6, N) derivatives by the pose's tangent.
+        grid: (R C, N) by the offsets.
+        rest: (g, N) by the other parameters, if there are any, and the residual.
+        weight: (N,); where it is 0, the others may be anything.
+    """
+
+    pose: Float[Array, "6 N"]
+    grid: Float[Array, "m N"]
+    rest: Float[Array, "g N"]
+    weight: Float[Array, " N"]
+
+    def normal_matrix(self) -> Float[Array, "n n"]:
+        """Normal matrix of the pose, the parameters and the residual."""
+        root = jnp.sqrt(self.weight)[None]
+        parts = [jnp.where(root > 0, part * root, 0) for part in (self.pose, self.grid, self.rest)]
+        products = [[jnp.matmul(a, b.T, precision=Precision.HIGHEST) for b in parts] for a in parts]
+        return jnp.block(products)
 
 
 def _surface_rows(
     params: TrackerParams, source: FrameFeatures, target: FrameFeatures, found: Registration
-) -> tuple[Float[Array, "n N"], Float[Array, " N"], Float[Array, ""]]:
-    """Distances along the normals of a sample of the finest level, with their derivatives.
-
-    Then come their weights, and their variance over what is expected.
-    """
+) -> tuple[_Rows, Float[Array, ""]]:
+    """Distances along the normals of a sample of the finest level; their variance over what is expected."""
     T = found.T_target_source
     rows = surface_rows(params, source, target, T)
     flat = _is_flat(source.cloud.levels[0])
@@ -139,13 +156,12 @@ def _surface_rows(
     camera, seen = source.cloud.levels[0].camera, se3.transform(T, between.T)
     in_target = jnp.matmul(se3.rotation_matrix(T), rows.normals, precision=Precision.HIGHEST)
     by_source, by_target = (
-        jnp.concatenate(
-            [grid_shares(camera.project(x.T), camera) * (dot(x, n) * x[2])[None], se3.plane_jacobian(x, n)]
-        )
+        (grid_shares(camera.project(x.T), camera) * (dot(x, n) * x[2])[None], se3.plane_jacobian(x, n))
         for x, n in ((between, rows.normals), (seen.T, in_target))
     )
-    columns = [rows.pose, by_source - by_target, rows.residual[None]]
-    return jnp.concatenate(columns), weight, rows.excess(weight)
+    grid, extrinsic = (a - b for a, b in zip(by_source, by_target, strict=True))
+    rest = jnp.concatenate([extrinsic, rows.residual[None]])
+    return _Rows(rows.pose, grid, rest, weight), rows.excess(weight)
 
 
 def _is_flat(level: gicp.OrganisedLevel) -> Bool[Array, "h w"]:
@@ -160,8 +176,8 @@ def _is_flat(level: gicp.OrganisedLevel) -> Bool[Array, "h w"]:
 
 def _keypoint_rows(
     params: TrackerParams, source: FrameFeatures, target: FrameFeatures, found: Registration
-) -> tuple[Float[Array, "n N"], Float[Array, " N"]]:
-    """Reprojection errors of the matches that the motion explains, with their derivatives, and weights."""
+) -> list[_Rows]:
+    """Errors of the matches that the motion explains: along the image's axes, and in inverse depth."""
     T, matched, camera = found.T_target_source, found.matched, params.camera
     rows = keypoint_rows(params, source, target, T, matched)
     pixels, seen = matched.pixels, target.keypoints.points[matched.index]
@@ -169,19 +185,25 @@ def _keypoint_rows(
     # The target's points move along their rays, and so does what is measured at the source's keypoints.
     along = jnp.sum(rows.at.point_jacobian * turned[None], axis=1)
     target_pixels = target.keypoints.features.keypoints[matched.index]
+    grid = grid_shares(target_pixels, camera) * seen[:, 2][None]
     slopes = depth_slopes(seen.T, target.keypoints.normals[matched.index].T)
-    changes = jnp.concatenate([grid_shares(target_pixels, camera) * seen[:, 2][None], slopes])
-    by_depth = along[:, None] * changes[None]
     depth, known = source.keypoints.depth, source.keypoints.depth > 0
-    slopes = depth_slopes(source.keypoints.points.T, source.keypoints.normals.T)
-    changes = jnp.concatenate([grid_shares(pixels, camera), slopes / jnp.where(known, depth, 1)[None]])
-    measured = jnp.where(known, 1 / params.noise.inverse_depth, 0)
-    by_depth = by_depth.at[2].add(measured[None] * changes)
-    all_rows = jnp.concatenate([rows.at.pose_jacobian, by_depth, rows.at.residual[:, None]], axis=1)
+    measured = jnp.where(known, 1 / params.noise.inverse_depth, 0)[None]
+    own_grid = measured * grid_shares(pixels, camera)
+    own_slopes = depth_slopes(source.keypoints.points.T, source.keypoints.normals.T)
+    own_slopes *= measured / jnp.where(known, depth, 1)[None]
     # Only where the surface has one normal is it known how an extrinsic changes a keypoint's depth.
     flat = _is_flat_at(source, camera, pixels) & _is_flat_at(target, camera, target_pixels)
-    weights = jnp.where(jnp.tile(flat, 3), rows.weights, 0)
-    return jnp.moveaxis(all_rows, 1, 0).reshape(all_rows.shape[1], -1), weights
+    weight = jnp.where(flat, rows.weight, 0)
+
+    def row(axis: int) -> _Rows:
+        by_grid, by_slopes = along[axis][None] * grid, along[axis][None] * slopes
+        if axis == 2:
+            by_grid, by_slopes = by_grid + own_grid, by_slopes + own_slopes
+        rest = jnp.concatenate([by_slopes, rows.at.residual[axis][None]])
+        return _Rows(rows.at.pose_jacobian[axis], by_grid, rest, weight)
+
+    return [row(axis) for axis in range(3)]
 
 
 def _is_flat_at(features: FrameFeatures, camera: Camera, pixels: Float[Array, "k 2"]) -> Bool[Array, " k"]:
