@@ -12,7 +12,7 @@ class GraphConfig:
 
     enabled: bool = True
     """Whether there is a graph. Without it keyframes stay where they were tracked, and no loop closes."""
-    num_neighbours: int = 8
+    num_neighbours: int = 5
     """Earlier keyframes with the same view that a new one is registered to, the nearest first."""
     neighbour_distance: float = 1.0
     """Largest distance of a neighbour, metres."""
