@@ -36,4 +36,4 @@ def test_scatter_is_the_deviation_of_the_noise(noise, rng):
 
 
 def test_too_few_frames_tell_no_lag(recording):
-    assert noticed_after(recording, 1) is None
+    assert noticed_after(recording, 1) == (None, None)

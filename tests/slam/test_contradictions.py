@@ -70,6 +70,21 @@ def test_a_lag_that_is_allowed_is_known_too(lap):
     assert (synchrony.lag, synchrony.refused_lag) == (1, 0)
 
 
+@pytest.mark.parametrize(("mean", "lag", "refused"), [(0.6, 0, 0), (1.0, 2, 0), (2.0, 2, 2)])
+def test_a_likely_lag_counts_before_frames_are_refused_for_it(lap, mean, lag, refused):
+    """Forty frames count as ten: the means are 1.5, 2.5 and 5 of their standard errors."""
+    recording, frames = lap
+    synchrony = empty_synchrony(recording.camera)
+    for frame in frames[:6]:
+        synchrony = watched(synchrony, frame, 1)
+    judged = len(synchrony.agreements)
+    agreements = np.zeros_like(synchrony.agreements)
+    agreements[:, agreements.shape[1] // 2 + 2] = mean + 1.26 * np.resize([1, -1], judged)
+    synchrony = replace(synchrony, agreements=agreements, num_judged=judged)
+    synchrony = watched(synchrony, frames[6], 1)
+    assert (synchrony.lag, synchrony.refused_lag) == (lag, refused)
+
+
 def test_a_slow_way_past_outlines_on_one_side_tells_no_lag():
     """In a corridor all that is near lies on one side, and moves by a pixel from frame to frame."""
     recording = SyntheticRecording(place="building", num_frames=10000, width=160, height=120)

@@ -20,8 +20,9 @@ _LEAST_FRAMES = 10
 """Frames below which nothing is said."""
 _INDEPENDENT = 4
 """Frames that count as one: neighbours resemble each other."""
-_SIGMAS = 3.0
-"""Standard errors by which a lag must fit better than another for it to be given up."""
+_SURE, _LIKELY = 3.0, 2.0
+"""Standard errors by which a lag must fit better than another for it to be given up: for frames to be
+refused, and for it to count in covariances."""
 _NEAR_SIDE = 1
 """Pixels by which outlines, found in what is near, lie beside the edges in colour."""
 _BESIDE = (-2, -1, 0, 1, 2)
@@ -63,10 +64,10 @@ def watched(synchrony: Synchrony, frame: Frame, max_lag: int) -> Synchrony:
     )
     if not known.all():
         return after
-    late = outline_agreement(after.edges, Outlines(after.outlines[:1], after.across[:1]))[0]
-    late[0] = _in_time(after.edges[:1], Outlines(after.outlines[0], after.across[0]))
+    late = outline_agreement(after.edges[1:], Outlines(after.outlines[:1], after.across[:1]))[0]
+    in_time = _in_time(after.edges[:1], Outlines(after.outlines[0], after.across[0]))
     early = outline_agreement(after.edges[:1], Outlines(after.outlines[1:], after.across[1:]))[:, 0]
-    row = np.concatenate([early[::-1], late]).astype(np.float32)
+    row = np.concatenate([early[::-1], [in_time], late]).astype(np.float32)
     judged = min(synchrony.num_judged + 1, len(synchrony.agreements))
     agreements = _with(synchrony.agreements, row)
     rows = agreements[:judged]
@@ -74,8 +75,8 @@ def watched(synchrony: Synchrony, frame: Frame, max_lag: int) -> Synchrony:
         after,
         agreements=agreements,
         num_judged=judged,
-        lag=_lag(rows, synchrony.lag, 0),
-        refused_lag=_lag(rows, synchrony.refused_lag, max_lag),
+        lag=_lag(rows, synchrony.lag, 0, _LIKELY),
+        refused_lag=_lag(rows, synchrony.refused_lag, max_lag, _SURE),
     )
 
 
@@ -86,18 +87,18 @@ def _in_time(edges: Int8[np.ndarray, "1 h w 2"], outlines: Outlines) -> float:
     return float(np.nanmax(outline_agreement(edges, places)))
 
 
-def _lag(rows: Float[np.ndarray, "f l"], before: int, max_lag: int) -> int:
+def _lag(rows: Float[np.ndarray, "f l"], before: int, max_lag: int, num_sigmas: float) -> int:
     """The lag of depth by the newest frames, beyond that allowed; as before where they don't tell."""
     if len(rows) < _LEAST_FRAMES:
         return before
     none, best = FARTHEST_LAG, int(rows.mean(axis=0, dtype=np.float64).argmax())
     gains = rows[:, [best]].astype(np.float64) - rows
     sigmas = gains.std(axis=0) / np.sqrt(len(rows) / _INDEPENDENT)
-    surely_better = gains.mean(axis=0) > _SIGMAS * sigmas
+    better = gains.mean(axis=0) > num_sigmas * sigmas
     if abs(best - none) > max_lag:
         allowed = slice(none - max_lag, none + max_lag + 1)
-        return best - none if surely_better[allowed].all() else before
-    return 0 if surely_better[none + before] else before
+        return best - none if better[allowed].all() else before
+    return 0 if better[none + before] else before
 
 
 def _with(
