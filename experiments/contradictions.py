@@ -4,8 +4,8 @@
 
 The limits of `TrackingConfig` lie between the two: `max_scale_change` between the largest change of the scale
 of depth that a recording as it is seems to have, and what a real change of 3 or 5 % from the middle on looks
-like; `max_depth_scatter` above the scatter of any of them. The last columns are the frame after which depth
-that is late by some frames is noticed.
+like; `max_depth_scatter` above the scatter of any of them. The last columns are for depth that is late by
+some frames: the frame after which that counts in covariances, and the one after which frames are refused.
 
 Real recordings are found through SFGS_DATA, by default `../shared`; one that is not there is left out with a
 line.
@@ -60,19 +60,23 @@ def scale_changes(recording: Recording, config: TrackingConfig) -> Float[np.ndar
     return changes
 
 
-def noticed_after(recording: Recording, max_lag: int) -> int | None:
-    """Frames after which depth is believed to be of another time; None if it never is.
+def noticed_after(recording: Recording, max_lag: int) -> tuple[int | None, int | None]:
+    """Frames after which a lag of depth counts in covariances, and after which frames are refused for it.
+
+    None stands for never.
 
     Args:
         recording: any.
         max_lag: as of `TrackingConfig.max_depth_lag`.
     """
-    synchrony = empty_synchrony(recording.camera)
+    synchrony, counts, refuses = empty_synchrony(recording.camera), None, None
     for number in range(len(recording)):
         synchrony = watched(synchrony, recording[number], max_lag)
-        if synchrony.refused_lag:
-            return number
-    return None
+        if synchrony.lag and counts is None:
+            counts = number
+        if synchrony.refused_lag and refuses is None:
+            refuses = number
+    return counts, refuses
 
 
 def scatter(depth: Float[np.ndarray, "H W"]) -> float:
@@ -106,10 +110,10 @@ def row(name: str, recording: Recording, config: TrackingConfig) -> str:
         cells.append(f"{100 * scale_changes(perturbed, lenient)[middle]:.1f}")
     largest = max(scatter(np.asarray(recording[number].depth)) for number in range(0, len(recording), 10))
     cells.append(f"{100 * largest:.2f}")
-    cells.append(str(noticed_after(recording, config.max_depth_lag) or "never"))
-    for lag in LAGS:
-        late = PERTURBATIONS["late depth"].apply(recording, lag, SEED)
-        cells.append(str(noticed_after(late, config.max_depth_lag) or "never"))
+    for lag in (0, *LAGS):
+        late = PERTURBATIONS["late depth"].apply(recording, lag, SEED) if lag else recording
+        counts, refuses = noticed_after(late, config.max_depth_lag)
+        cells.append(f"{counts or 'never'} / {refuses or 'never'}")
     return f"| {name} | {' | '.join(cells)} |"
 
 
@@ -120,7 +124,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--frames", type=int, default=200, help="first frames of each recording")
     options = parser.parse_args(arguments)
     columns = ["recording", "largest change %", *(f"at {change} %" for change in CHANGES), "scatter %"]
-    columns += ["noticed: as it is", *(f"late by {lag}" for lag in LAGS)]
+    columns += ["counts / refused: as it is", *(f"late by {lag}" for lag in LAGS)]
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for name in options.recordings:
         recording = in_memory(name, RECORDINGS[name], ReaderOptions(end=options.frames))
