@@ -122,13 +122,13 @@ class _Rows(NamedTuple):
     Attributes:
         pose: (6, N) derivatives by the pose's tangent.
         grid: (R C, N) by the offsets.
-        rest: (g, N) by the other parameters, if there are any, and the residual.
+        rest: (7, N) by the extrinsic, and the residual.
         weight: (N,); where it is 0, the others may be anything.
     """
 
     pose: Float[Array, "6 N"]
     grid: Float[Array, "m N"]
-    rest: Float[Array, "g N"]
+    rest: Float[Array, "7 N"]
     weight: Float[Array, " N"]
 
     def normal_matrix(self) -> Float[Array, "n n"]:
