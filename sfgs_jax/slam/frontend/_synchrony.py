@@ -21,8 +21,8 @@ _LEAST_FRAMES = 10
 _INDEPENDENT = 4
 """Frames that count as one: neighbours resemble each other."""
 _SURE, _LIKELY = 3.0, 2.0
-"""Standard errors by which a lag must fit better than another for it to be given up: for frames to be
-refused, and for it to count in covariances."""
+"""Standard errors by which a lag must fit better than another to replace it. Frames are refused for a lag
+that is sure; a likely one counts in covariances."""
 _NEAR_SIDE = 1
 """Pixels by which outlines, found in what is near, lie beside the edges in colour."""
 _BESIDE = (-2, -1, 0, 1, 2)
