@@ -5,7 +5,8 @@
 The limits of `TrackingConfig` lie between the two: `max_scale_change` between the largest change of the scale
 of depth that a recording as it is seems to have, and what a real change of 3 or 5 % from the middle on looks
 like; `max_depth_scatter` above the scatter of any of them. The last columns are for depth that is late by
-some frames: the frame after which that counts in covariances, and the one after which frames are refused.
+some frames. They name the frame after which that counts in covariances, and the one after which frames are
+refused for it.
 
 Real recordings are found through SFGS_DATA, by default `../shared`; one that is not there is left out with a
 line.

@@ -120,16 +120,19 @@ def _tracks(factors: Sequence[Factor], num_poses: int) -> dict[int, int]:
     tracks = dict.fromkeys(np.concatenate(alone).tolist(), 0)
     sorted_pairs = np.sort(np.concatenate(pairs))
     seen, poses = np.divmod(sorted_pairs[_is_new(sorted_pairs)], num_poses)
+    if not len(seen):
+        return tracks
     # Numbers of Python, which have as many bits as there are poses.
     bits = np.asarray([1 << place for place in reversed(range(num_poses))], object)[poses]
     starts = np.flatnonzero(_is_new(seen))
-    if len(starts):
-        tracks |= zip(seen[starts].tolist(), np.add.reduceat(bits, starts).tolist(), strict=True)
-    return tracks
+    return tracks | dict(zip(seen[starts].tolist(), np.add.reduceat(bits, starts).tolist(), strict=True))
 
 
 def _is_new(numbers: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """True for each of some numbers, none negative and in order, that differs from the one before."""
+    """True for each of some numbers, none negative and in order, that differs from the one before.
+
+    `np.unique` would hash the numbers first, which takes longer than to sort them.
+    """
     return np.diff(numbers, prepend=-1) > 0
 
 
