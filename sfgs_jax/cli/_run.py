@@ -15,6 +15,7 @@ from sfgs_jax.arrays import FrameError, InputError, check_counts, check_range, e
 from sfgs_jax.cli._ablations import Ablation, ablated
 from sfgs_jax.cli._configuration import RunConfig, read_config, to_json
 from sfgs_jax.cli._evaluate import evaluate_folder
+from sfgs_jax.cli._interruption import end_if_interrupted
 from sfgs_jax.cli._live import keep_page, live_view
 from sfgs_jax.cli._log import logger, logging_to
 from sfgs_jax.cli._outcome import failure_of, scale_warning
@@ -331,7 +332,7 @@ def _run(
                 frames(recording, first=first),
                 recording.camera,
                 out.config.slam,
-                observer=observer if view is None else combined(observer, view),
+                observer=combined(observer, *([] if view is None else [view]), end_if_interrupted),
                 storage=folder / STORAGE,
                 resumed=resumed,
                 realtime=options.realtime,

@@ -56,9 +56,10 @@ def test_an_interruption_that_python_forgets_ends_the_command(lost, signum, caps
 
 
 def test_a_command_leaves_the_process_as_it_was():
-    before = signal.getsignal(signal.SIGTERM), sys.unraisablehook
+    signals = signal.SIGTERM, signal.SIGINT
+    before = *map(signal.getsignal, signals), sys.unraisablehook
     assert main(["nothing"], commands={"nothing": Command(lambda words: 0, "")}) == 0
-    assert (signal.getsignal(signal.SIGTERM), sys.unraisablehook) == before
+    assert (*map(signal.getsignal, signals), sys.unraisablehook) == before
 
 
 @pytest.mark.parametrize("lost", [while_an_object_goes, while_garbage_is_collected])

@@ -8,7 +8,8 @@ import re
 import shutil
 import signal
 import tempfile
-from contextlib import ExitStack
+import time
+from contextlib import ExitStack, suppress
 from functools import partial
 
 import cv2
@@ -273,6 +274,22 @@ def test_interruption_saves_what_there_is_and_exits_130(recording_folder, tmp_pa
     assert len(read_tum(tmp_path / "out" / "trajectory.txt")) == 6
     assert np.sum(load_ply(tmp_path / "out" / "map.ply").valid) > 500
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["frames"]["interrupted"] is True
+
+
+@pytest.mark.usefixtures("no_warm_up")
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_that_compiled_code_forgets_ends_the_run_after_its_frame(
+    recording_folder, tmp_path, signum
+):
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def forget():
+        with suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signum)
+            time.sleep(10)
+
+    assert run(recording_folder, tmp_path / "out", frames=before_frame(6, forget)) == 130
+    assert len(read_tum(tmp_path / "out" / "trajectory.txt")) == 7
 
 
 @pytest.mark.usefixtures("no_warm_up")
