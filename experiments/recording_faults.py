@@ -7,17 +7,17 @@ A cell says "named" if the right question has a warning, "open" if `check` says 
 """
 
 import argparse
-import dataclasses
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sfgs_jax.datasets import Recording, open_recording
+from experiments.starts import InMemory
+from sfgs_jax.datasets import Recording, WrappedRecording, open_recording
 from sfgs_jax.evaluation.recording_check import check_recording
-from sfgs_jax.geometry import Camera, Frame, Trajectory
+from sfgs_jax.geometry import Frame, Trajectory
 
 DATA = Path(os.environ.get("SFGS_DATA", "../shared")) / "data"
 
@@ -79,36 +79,30 @@ FAULTS: dict[str, Fault] = {
 }
 
 
-class Faulty:
-    """A recording with a fault. Frames that were decoded are kept in a table that several share."""
+@dataclass(frozen=True)
+class Faulty(WrappedRecording):
+    """A recording with a fault.
 
-    def __init__(self, recording: Recording, fault: Fault, decoded: dict[int, Frame]) -> None:
-        self._recording, self._fault, self._decoded = recording, fault, decoded
-        self.name, self.dataset, self.notes = recording.name, recording.dataset, recording.notes
-        self.camera: Camera = recording.camera
-        self.timestamps = recording.timestamps
+    Attributes:
+        recording: without it.
+        fault: what is wrong with it.
+    """
+
+    fault: Fault
 
     @property
     def ground_truth(self) -> Trajectory | None:
-        truth = self._recording.ground_truth
-        if truth is None or self._fault.without_poses:
+        truth = self.recording.ground_truth
+        if truth is None or self.fault.without_poses:
             return None
-        poses = np.stack([self._fault.pose(pose) for pose in truth.poses])
-        late = self._fault.poses_late
+        poses = np.stack([self.fault.pose(pose) for pose in truth.poses])
+        late = self.fault.poses_late
         return Trajectory(truth.timestamps, np.concatenate([poses[:1].repeat(late, 0), poses])[: len(poses)])
 
-    def __len__(self) -> int:
-        return len(self._recording)
-
     def __getitem__(self, index: int) -> Frame:
-        other = min(max(index - self._fault.late, 0), len(self) - 1)
-        depth = self._fault.depth(np.asarray(self._frame(other).depth))
-        return dataclasses.replace(self._frame(index), depth=np.ascontiguousarray(depth, np.float32))
-
-    def _frame(self, index: int) -> Frame:
-        if index not in self._decoded:
-            self._decoded[index] = self._recording[index]
-        return self._decoded[index]
+        other = min(max(index - self.fault.late, 0), len(self) - 1)
+        depth = self.fault.depth(np.asarray(self.recording[other].depth))
+        return replace(self.recording[index], depth=np.ascontiguousarray(depth, np.float32))
 
 
 def outcome(recording: Recording, fault: Fault) -> str:
@@ -140,10 +134,9 @@ def main() -> None:
     arguments = parser.parse_args()
     columns = {}
     for name in arguments.recordings:
-        recording, decoded = open_recording(known[name]), {}
+        recording = InMemory(open_recording(known[name]))
         columns[name] = {
-            label: outcome(Faulty(recording, FAULTS[label], decoded), FAULTS[label])
-            for label in arguments.faults
+            label: outcome(Faulty(recording, FAULTS[label]), FAULTS[label]) for label in arguments.faults
         }
     print("| fault |" + "".join(f" {name} |" for name in columns))
     print("| --- |" + " --- |" * len(columns))

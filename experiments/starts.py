@@ -12,55 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.arrays import InputError
-from sfgs_jax.datasets import ReaderOptions, Recording, Selection, open_recording
-from sfgs_jax.geometry import Camera, Frame, Trajectory
+from sfgs_jax.datasets import ReaderOptions, Recording, Selection, WrappedRecording, open_recording
+from sfgs_jax.geometry import Frame, Trajectory
 
 
 @dataclass(frozen=True)
-class _Wrapper:
-    """A `Recording` that is another one in everything but what a subclass changes."""
-
-    recording: Recording
-
-    @property
-    def name(self) -> str:
-        """Name of the recording inside."""
-        return self.recording.name
-
-    @property
-    def dataset(self) -> str:
-        """Layout of the recording inside."""
-        return self.recording.dataset
-
-    @property
-    def camera(self) -> Camera:
-        """Camera of colour and depth."""
-        return self.recording.camera
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Warnings for the log."""
-        return self.recording.notes
-
-    @property
-    def timestamps(self) -> Float[np.ndarray, " n"]:
-        """Time of each frame in seconds, float64."""
-        return self.recording.timestamps
-
-    @property
-    def ground_truth(self) -> Trajectory | None:
-        """Known poses, `T_world_cam`."""
-        return self.recording.ground_truth
-
-    def __len__(self) -> int:
-        return len(self.recording)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self.recording[index]
-
-
-@dataclass(frozen=True)
-class InMemory(_Wrapper):
+class InMemory(WrappedRecording):
     """A recording whose frames are decoded once and kept, 5 MB each at 640x480."""
 
     _frames: dict[int, Frame] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -86,7 +43,7 @@ def in_memory(name: str, place: str, options: ReaderOptions) -> InMemory | None:
 
 
 @dataclass(frozen=True)
-class Backward(_Wrapper):
+class Backward(WrappedRecording):
     """A recording from its last frame to its first.
 
     Time stamps are mirrored at the middle of the recording, so they increase, and gaps stay where they were.

@@ -14,6 +14,7 @@ from sfgs_jax.datasets._prefetch import prefetch as prefetch
 from sfgs_jax.datasets._realsense import RealSense as RealSense
 from sfgs_jax.datasets._recording import Recording as Recording
 from sfgs_jax.datasets._selection import Selection as Selection
+from sfgs_jax.datasets._wrapped_recording import WrappedRecording as WrappedRecording
 from sfgs_jax.datasets._writers import write_recording as write_recording
 from sfgs_jax.datasets.image_sets import HPATCHES_LARGE as HPATCHES_LARGE
 from sfgs_jax.datasets.image_sets import PHOTO_LAYOUTS as PHOTO_LAYOUTS

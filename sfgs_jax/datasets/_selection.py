@@ -9,7 +9,8 @@ from jaxtyping import Float
 from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets._options import ReaderOptions
 from sfgs_jax.datasets._recording import Recording
-from sfgs_jax.geometry import Camera, Frame, Trajectory
+from sfgs_jax.datasets._wrapped_recording import WrappedRecording
+from sfgs_jax.geometry import Frame, Trajectory
 
 
 def select(recording: Recording, options: ReaderOptions) -> "Selection":
@@ -32,7 +33,7 @@ def select(recording: Recording, options: ReaderOptions) -> "Selection":
 
 
 @dataclass(frozen=True)
-class Selection:
+class Selection(WrappedRecording):
     """A `Recording` of some frames of another one.
 
     Attributes:
@@ -41,29 +42,8 @@ class Selection:
         max_depth: largest depth, metres; farther depth counts as missing, and None keeps everything.
     """
 
-    recording: Recording
     frames: Sequence[int]
     max_depth: float | None
-
-    @property
-    def name(self) -> str:
-        """Name of the whole recording."""
-        return self.recording.name
-
-    @property
-    def dataset(self) -> str:
-        """Layout of the whole recording."""
-        return self.recording.dataset
-
-    @property
-    def camera(self) -> Camera:
-        """Camera of colour and depth."""
-        return self.recording.camera
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Warnings for the log."""
-        return self.recording.notes
 
     @property
     def timestamps(self) -> Float[np.ndarray, " n"]:
