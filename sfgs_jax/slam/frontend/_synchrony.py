@@ -20,7 +20,7 @@ _LEAST_FRAMES = 10
 """Frames below which nothing is said."""
 _INDEPENDENT = 4
 """Frames that count as one: neighbours resemble each other."""
-_SURE, _LIKELY = 3.0, 2.0
+_SURE, _LIKELY = 3.0, 2.5
 """Standard errors by which a lag must fit better than another to replace it. Frames are refused for a lag
 that is sure; a likely one counts in covariances."""
 _NEAR_SIDE = 1
