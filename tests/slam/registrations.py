@@ -38,4 +38,5 @@ def registration(
         num_free=jnp.asarray(0),
         scale_change=jnp.asarray(0.0),
         scale_sigma=jnp.asarray(0.001),
+        image_correlation=jnp.asarray(1.0),
     )

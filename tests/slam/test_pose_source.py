@@ -94,12 +94,13 @@ def rows(**fixed):
     ],
 )
 def test_every_row_of_the_decision_table(fixed, expected):
-    judged = {int(judge(evidence)) for evidence in rows(**fixed, same_scale=True)}
+    judged = {int(judge(evidence)) for evidence in rows(**fixed, same_scale=True, images=True)}
     assert judged == {expected}
 
 
-def test_nothing_is_believed_of_depth_in_another_unit():
-    assert {int(judge(evidence)) for evidence in rows(same_scale=False)} == {PoseSource.LOST}
+@pytest.mark.parametrize("flag", ["same_scale", "images"])
+def test_nothing_is_believed_of_depth_in_another_unit_or_images_that_differ(flag):
+    assert {int(judge(evidence)) for evidence in rows(**{flag: False})} == {PoseSource.LOST}
 
 
 def test_the_table_leaves_no_evidence_out():

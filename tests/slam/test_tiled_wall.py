@@ -64,7 +64,9 @@ def jumped(recording, number, by):
     return off.max(), len(off)
 
 
-@pytest.mark.parametrize(("number", "by"), [(10, 14), (66, 10), (74, -14)])
+@pytest.mark.parametrize(
+    ("number", "by"), [(10, 14), (66, 10), (74, -14), (66, -20), (106, -20), (122, -10), (42, 20)]
+)
 def test_a_camera_that_jumps_out_of_view_is_lost_rather_than_a_tile_off(recording, number, by):
     """By a metre or more."""
     worst, tracked = jumped(recording, number, by)

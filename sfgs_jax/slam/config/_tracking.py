@@ -148,6 +148,10 @@ class TrackingConfig:
     min_agreement: float = 0.75
     """Least share of surface inliers among the points that the reference shows, where no keypoints confirm
     GICP for sure. After lost or missing frames the camera may be anywhere. Then half as many may disagree."""
+    min_image_correlation: float = 0.9
+    """Least correlation of the two images, a median over blocks, where the keypoints are not sure. What lies
+    between the matches tells a place from one that looks like it. After lost or missing frames half as much
+    may differ. Frames are asked once one before them had so much. 0 asks none."""
     max_velocity_change: float = 2.0
     """Largest change of the camera's velocity since the last tracked frame where the keypoints are not sure,
     m/s. A place that only looks like the right one is seldom so near the prediction."""
@@ -207,6 +211,7 @@ class TrackingConfig:
         if self.estimate_extrinsic and not self.estimate_depth:
             raise InputError("`estimate_extrinsic` needs `estimate_depth`, of which it is a part.")
         check_range(self, 0, 1, "min_inlier_fraction", "min_inlier_fraction_alone", "min_agreement")
+        check_range(self, 0, 1, "min_image_correlation")
         check_range(self, 0, 1, "keyframe_inlier_fraction")
         check_positive(self, "max_velocity_change")
         check_range(self, 0, math.inf, "max_correction_alone", "search_angle", "max_disagreement")

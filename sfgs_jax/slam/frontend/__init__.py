@@ -10,6 +10,7 @@ from sfgs_jax.slam.frontend._frame_features import host_keypoints as host_keypoi
 from sfgs_jax.slam.frontend._frame_features import observe as observe
 from sfgs_jax.slam.frontend._frame_features import tracker_params as tracker_params
 from sfgs_jax.slam.frontend._frame_features import with_corrected_depth as with_corrected_depth
+from sfgs_jax.slam.frontend._image_correlation import image_correlation as image_correlation
 from sfgs_jax.slam.frontend._image_signature import image_signature as image_signature
 from sfgs_jax.slam.frontend._image_signature import most_similar as most_similar
 from sfgs_jax.slam.frontend._joint_registration import Allowed as Allowed
@@ -28,6 +29,7 @@ from sfgs_jax.slam.frontend._patch_alignment import PatchPairs as PatchPairs
 from sfgs_jax.slam.frontend._patch_alignment import aligned as aligned
 from sfgs_jax.slam.frontend._pose_source import Evidence as Evidence
 from sfgs_jax.slam.frontend._pose_source import confirms_loop as confirms_loop
+from sfgs_jax.slam.frontend._pose_source import images_look_alike as images_look_alike
 from sfgs_jax.slam.frontend._pose_source import judge as judge
 from sfgs_jax.slam.frontend._pose_source import keypoints_take_part as keypoints_take_part
 from sfgs_jax.slam.frontend._pose_source import supports_edge as supports_edge
@@ -45,6 +47,7 @@ from sfgs_jax.slam.frontend._suspicion import strengthened as strengthened
 from sfgs_jax.slam.frontend._suspicion import undisputed as undisputed
 from sfgs_jax.slam.frontend._synchrony import watched as watched
 from sfgs_jax.slam.frontend._track import TrackInfo as TrackInfo
+from sfgs_jax.slam.frontend._track import allowed_sources as allowed_sources
 from sfgs_jax.slam.frontend._track import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend._track import init_tracker as init_tracker
 from sfgs_jax.slam.frontend._track import lost_unseen as lost_unseen

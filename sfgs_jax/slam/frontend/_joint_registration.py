@@ -23,8 +23,10 @@ from sfgs_jax.slam.frontend._feature_registration import (
     num_explained,
     with_derivatives,
 )
+from sfgs_jax.slam.frontend._image_correlation import image_correlation
 from sfgs_jax.slam.frontend._pose_source import (
     Evidence,
+    images_look_alike,
     judge,
     keypoints_are_many,
     keypoints_are_sure,
@@ -54,12 +56,15 @@ class Allowed(NamedTuple):
             alone gives no pose where many keypoints match and fit no motion, and has to agree twice as well.
         doubtful_scale: whether the sensor seems to have changed its scale of depth. Then nothing is believed
             but what shows the scale to be the same.
+        images: whether the images may differ, as they do in fog or on a moving ground. They may not where the
+            frame before looked like its reference.
     """
 
     surface: Bool[Array, ""] | bool = True
     motion_model: Bool[Array, ""] | bool = True
     near_guess: Bool[Array, ""] | bool = True
     doubtful_scale: Bool[Array, ""] | bool = False
+    images: Bool[Array, ""] | bool = True
 
 
 @checked
@@ -115,8 +120,18 @@ def _register(
     source = replace(source, keypoints=keypoints_in_time(source, params, sweep, start))
     if not config.use_surface:
         scale = _scale(params, source, target, start, matched, sweep)
-        same_scale = _believed(*scale, allowed, config)
-        return _without_surface(matched, start, helpful, many, scale, same_scale)
+        correlation = image_correlation(source, target, start)
+        evidence = Evidence(
+            helpful,
+            many,
+            surface=False,
+            agree=False,
+            surface_alone=False,
+            free=False,
+            same_scale=_believed(*scale, allowed, config),
+            images=_look_alike(correlation, matched, allowed, config),
+        )
+        return _without_surface(matched, start, evidence, scale, correlation)
 
     surface = _align(params, source, target, matched, start, sweep)
     # Holes in the target's depth speak neither for a motion nor against it.
@@ -140,7 +155,11 @@ def _register(
     by_surface = rests_on_surface(evidence)
     T = _choose(by_surface, T, start)
     scale = _scale(params, source, target, T, matched, sweep)
-    evidence = evidence._replace(same_scale=_believed(*scale, allowed, config))
+    correlation = image_correlation(source, target, T)
+    evidence = evidence._replace(
+        same_scale=_believed(*scale, allowed, config),
+        images=_look_alike(correlation, matched, allowed, config),
+    )
     return Registration(
         T_target_source=T,
         surface_information=jnp.where(by_surface, surface.information, 0),
@@ -152,6 +171,7 @@ def _register(
         num_free=num_free,
         scale_change=scale[0],
         scale_sigma=scale[1],
+        image_correlation=correlation,
     )
 
 
@@ -220,6 +240,14 @@ def _scale(
     return depth_scale_change(*lax.stop_gradient((params, source, target, T, matched, moving)))
 
 
+def _look_alike(
+    correlation: Float[Array, ""], matched: FeatureRegistration, allowed: Allowed, config: TrackingConfig
+) -> Bool[Array, ""]:
+    """True if nothing between the matches speaks against a motion. Sure keypoints need not be asked."""
+    alike = images_look_alike(correlation, config, near_guess=allowed.near_guess)
+    return alike | keypoints_are_sure(matched, config.features) | allowed.images
+
+
 def _believed(
     change: Float[Array, ""], sigma: Float[Array, ""], allowed: Allowed, config: TrackingConfig
 ) -> Bool[Array, ""]:
@@ -232,27 +260,24 @@ def _believed(
 def _without_surface(
     matched: FeatureRegistration,
     T: jaxlie.SE3,
-    helpful: Bool[Array, ""],
-    many: Bool[Array, ""],
+    evidence: Evidence,
     scale: tuple[Float[Array, ""], Float[Array, ""]],
-    same_scale: Bool[Array, ""],
+    correlation: Float[Array, ""],
 ) -> Registration:
     """The registration by keypoints alone."""
-    nothing = Evidence(
-        helpful, many, surface=False, agree=False, surface_alone=False, free=False, same_scale=same_scale
-    )
     zero = jnp.zeros(())
     return Registration(
         T_target_source=T,
         surface_information=jnp.zeros((6, 6)),
         matched=matched,
-        source=judge(nothing),
+        source=judge(evidence),
         inlier_fraction=zero,
         agreement=jnp.ones(()),
         rmse=zero,
         num_free=jnp.asarray(0),
         scale_change=scale[0],
         scale_sigma=scale[1],
+        image_correlation=correlation,
     )
 
 

@@ -19,7 +19,6 @@ from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Frame, se3
 from sfgs_jax.slam.config import GraphConfig
-from sfgs_jax.slam.frontend._depth_scale import is_same_scale
 from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._image_signature import most_similar
 from sfgs_jax.slam.frontend._joint_registration import register
@@ -164,16 +163,14 @@ def relocalise(
     alike, _ = most_similar(graph.signatures, signature, config.relocalisation_candidates)
     begun = int(tracker.reference_keyframes[tracker.current]) >= 0
     last = np.asarray(tracker.T_world_cam.wxyz_xyz) if begun else None
-    since, doubtful = float(tracker.since_tracked), bool(tracker.doubtful_scale)
+    since, allowed = float(tracker.since_tracked), allowed_sources(tracker, params.config)
     found: list[Localised] = []
     poses: list[Float[np.ndarray, "7"]] = []
     T = se3.matrices_of(graph.poses)
     for number in map(int, alike):
         target = features_in_use(params, graph.keyframes[number])
-        registration = register(params, features, target, se3.identity(), guess_known=False)
+        registration = register(params, features, target, se3.identity(), allowed, guess_known=False)
         if not supports_relocalisation(registration, config):
-            continue
-        if doubtful and not _has_same_scale(registration, params):
             continue
         found.append(Localised(number, target, graph.poses[number], registration, False, True))
         T_keyframe_cam = se3.matrices_of(np.asarray(registration.T_target_source.wxyz_xyz)[None])[0]
@@ -186,11 +183,6 @@ def relocalise(
         return None, NO_SUSPICION
     suspicion = strengthened(tracker.suspicion, poses[best], seconds, config)
     return (found[best] if int(suspicion.frames) >= config.relocalisation_frames else None), suspicion
-
-
-def _has_same_scale(found: Registration, params: TrackerParams) -> bool:
-    change, sigma = float(found.scale_change), float(found.scale_sigma)
-    return bool(is_same_scale(change, sigma, params.config.max_scale_change))
 
 
 def search_by_surface(params: TrackerParams, tracker: Tracker, features: FrameFeatures) -> Localised | None:

@@ -26,6 +26,7 @@ class Evidence(NamedTuple):
         motion_model_allowed: a motion was measured, no frame was lost since, and the motion model has not
             carried the pose too long or too far.
         same_scale: nothing says that the two frames measure depth in different units.
+        images: nothing says that the two images show different things.
     """
 
     keypoints: Flag
@@ -37,6 +38,7 @@ class Evidence(NamedTuple):
     surface_allowed: Flag = True
     motion_model_allowed: Flag = True
     same_scale: Flag = True
+    images: Flag = True
 
 
 def keypoints_help(matched: FeatureRegistration, config: FeaturesConfig) -> Bool[Array, ""]:
@@ -94,6 +96,20 @@ def surface_agrees(
     return agreement >= 1 - disagreeing
 
 
+def images_look_alike(
+    correlation: Float[Array, ""], config: TrackingConfig, *, near_guess: Flag
+) -> Bool[Array, ""]:
+    """True if two images show the same under a motion.
+
+    Args:
+        correlation: by `image_correlation`.
+        config: settings.
+        near_guess: whether the camera is near the guess. Elsewhere half as much may differ.
+    """
+    differing = (1 - config.min_image_correlation) * jnp.where(near_guess, 1.0, 0.5)
+    return correlation >= 1 - differing
+
+
 def surface_fits(fraction: Float[Array, ""], config: TrackingConfig) -> Bool[Array, ""]:
     """True if the surface has enough inliers.
 
@@ -145,8 +161,8 @@ def judge(evidence: Evidence) -> Int[Array, ""]:
     """Residuals that a pose rests on.
 
     A dash stands for either. Few keypoints help the surface; many stand without it, and sure ones against it.
-    Without the same scale of depth the frame is `LOST` whatever else holds: the motion that fits best is then
-    wrong.
+    Without the same scale of depth, or with images that differ, the frame is `LOST` whatever else holds: the
+    motion that fits best is then wrong.
 
     | keypoints | many | surface | agree | surface alone | free | allowed | pose source |
     | --- | --- | --- | --- | --- | --- | --- | --- |
@@ -175,7 +191,9 @@ def judge(evidence: Evidence) -> Int[Array, ""]:
         (alone & e.free & e.motion_model_allowed, PoseSource.MOTION_MODEL),
     )
     numbers = [jnp.asarray(int(source), jnp.int32) for _, source in sources]
-    return jnp.select([when & e.same_scale for when, _ in sources], numbers, jnp.zeros((), jnp.int32))
+    return jnp.select(
+        [when & e.same_scale & e.images for when, _ in sources], numbers, jnp.zeros((), jnp.int32)
+    )
 
 
 def rests_on_surface(evidence: Evidence) -> Bool[Array, ""]:

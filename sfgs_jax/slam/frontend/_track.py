@@ -20,7 +20,7 @@ from sfgs_jax.slam.frontend._depth_scale import is_other_scale
 from sfgs_jax.slam.frontend._frame_features import feature_shapes, frame_features
 from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, found_again, register
 from sfgs_jax.slam.frontend._keyframe_choice import needs_keyframe, runs_out_of_keypoints
-from sfgs_jax.slam.frontend._pose_source import keypoints_are_alike, keypoints_are_sure
+from sfgs_jax.slam.frontend._pose_source import images_look_alike, keypoints_are_alike, keypoints_are_sure
 from sfgs_jax.slam.frontend._rectification import on_their_planes, rectified
 from sfgs_jax.slam.frontend._timing_estimate import timing_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
@@ -219,6 +219,7 @@ def allowed_sources(tracker: Tracker, config: TrackingConfig) -> Allowed:
         motion_model=carried & tracker.has_motion,
         near_guess=(tracker.lost_in_a_row == 0) & ~_misses_frames(tracker),
         doubtful_scale=tracker.doubtful_scale,
+        images=~images_look_alike(tracker.last_registration.image_correlation, config, near_guess=False),
     )
 
 

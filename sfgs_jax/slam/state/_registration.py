@@ -71,6 +71,8 @@ class Registration(eqx.Module):
         num_free: directions of motion that the surface leaves free, 0 to 6.
         scale_change: logarithm of the target's scale of depth over the source's.
         scale_sigma: standard deviation of that.
+        image_correlation: correlation of the two images under the motion, the median over blocks of the
+            source; 1 where there is nothing to compare.
     """
 
     T_target_source: jaxlie.SE3
@@ -83,6 +85,7 @@ class Registration(eqx.Module):
     num_free: Int[Array, ""]
     scale_change: Float[Array, ""]
     scale_sigma: Float[Array, ""]
+    image_correlation: Float[Array, ""]
 
     @property
     def found(self) -> Bool[Array, ""]:
