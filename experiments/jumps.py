@@ -1,7 +1,7 @@
 """A camera that jumps where things look alike: is it lost, or put in the wrong place?
 
     python -m experiments.jumps [--recording PATH] [--first 10] [--every 8] [--jumps -20 -14 -10 10 14 20 26]
-        [--factor 2]
+        [--factor 2] [--min-image-correlation 0.9]
 
 A sequence is five frames in a row, a jump by so many frames of the recording, and four frames in a row. One
 starts at every so many frames. The default is the TartanAir clip at half size, which goes along a wall of
@@ -61,21 +61,25 @@ def reduced(frame: Frame, factor: int, timestamp: float) -> Frame:
     return replace(frame, rgb=rgb, depth=depth, timestamp=timestamp, depth_timestamp=None)
 
 
-def landings(recording: Recording, camera: Camera, numbers: Sequence[int], factor: int) -> list[Landing]:
+def landings(
+    recording: Recording, camera: Camera, numbers: Sequence[int], options: argparse.Namespace
+) -> list[Landing]:
     """Track a sequence.
 
     Args:
         recording: with ground truth.
         camera: of the reduced frames.
         numbers: of the frames.
-        factor: to divide their size by.
+        options: of the command line.
 
     Returns:
         What became of the frames after the jump.
     """
-    state, infos = slam.init(camera, slam.PRESETS[recording.dataset]), []
+    preset = slam.PRESETS[recording.dataset]
+    tracking = replace(preset.tracking, min_image_correlation=options.min_image_correlation)
+    state, infos = slam.init(camera, replace(preset, tracking=tracking)), []
     for i, number in enumerate(numbers):
-        state, info, _ = slam.follow(state, reduced(recording[number], factor, i / 15))
+        state, info, _ = slam.follow(state, reduced(recording[number], options.factor, i / 15))
         infos.append(info)
     truth = true_poses(recording)[list(numbers)]
     poses = np.stack([np.asarray(se3.matrix(info.T_world_cam)) for info in infos])
@@ -121,7 +125,7 @@ def rows(recording: Recording, options: argparse.Namespace) -> Iterator[tuple[st
             end = start + jump
             if 0 <= end <= len(recording) - AFTER:
                 numbers = (*range(start - BEFORE, start), *range(end, end + AFTER))
-                landed.append(landings(recording, camera, numbers, options.factor))
+                landed.append(landings(recording, camera, numbers, options))
                 way_m.append(float(np.linalg.norm(positions[end] - positions[start - 1])))
         if landed:
             yield row(jump, way_m, landed)
@@ -137,6 +141,9 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=8, help="frames from one jump's start to the next")
     parser.add_argument("--jumps", type=int, nargs="+", default=[-20, -14, -10, 10, 14, 20, 26])
     parser.add_argument("--factor", type=int, default=2, help="to divide the images' size by")
+    parser.add_argument(
+        "--min-image-correlation", type=float, default=slam.TrackingConfig().min_image_correlation
+    )
     options = parser.parse_args()
     recording = InMemory(open_recording(options.recording))
     print_table("A camera that jumps", COLUMNS, rows(recording, options))

@@ -117,7 +117,7 @@ def test_one_image_is_exactly_like_itself(params, image):
     [(1.0, False, PoseSource.LOST), (1.0, True, PoseSource.JOINT), (0.0, False, PoseSource.JOINT)],
 )
 def test_a_pose_is_lost_where_images_differ_that_may_not(config, image, sure, may_differ, expected):
-    """No two images are as much alike as is asked for here. Where most matches agree nothing is asked."""
+    """No two images are as much alike as is asked for here. Sure keypoints are not asked."""
     features = replace(config.tracking.features, min_inlier_share_sure=sure)
     tracking = replace(config.tracking, features=features, min_image_correlation=1.0)
     params = tracker_params(CAMERA, tracking)
@@ -136,7 +136,7 @@ def test_far_from_the_guess_half_as_much_may_differ():
 
 @pytest.mark.parametrize(("before", "expected"), [(0.0, True), (0.9, True), (0.95, False)])
 def test_images_may_differ_until_one_has_looked_like_its_reference(config, before, expected):
-    """As in fog, where no two do."""
+    """In fog no two do."""
     tracking = replace(config.tracking, min_image_correlation=0.85)
     tracker = init_tracker(tracker_params(CAMERA, tracking))
     tracker = eqx.tree_at(lambda t: t.last_registration.image_correlation, tracker, jnp.asarray(before))

@@ -1,7 +1,7 @@
 """Do two images show the same where a motion lays one over the other?
 
-Matched keypoints and surfaces only speak of what they were found at. Where tiles look alike, or shelves, what
-lies between the matches tells the right one. So coarse images are compared wherever both show the same
+Matched keypoints and surfaces only speak of what they were found at. Among tiles or shelves that look alike,
+the images between the matches tell the right one. So coarse images are compared wherever both show the same
 surface, block by block. Exposure and blur change little in them, and most blocks have to be alike, so things
 that move may differ.
 """
@@ -36,7 +36,7 @@ _OCCLUDED = 0.04
 def image_correlation(
     source: FrameFeatures, target: FrameFeatures, T_target_source: jaxlie.SE3
 ) -> Float[Array, ""]:
-    """How much alike most blocks of a frame look where a motion lays them over another, without derivatives.
+    """Correlation of two frames' images where a motion lays one over the other, without derivatives.
 
     Args:
         source: a frame.
@@ -85,7 +85,7 @@ def _coarse(cloud: gicp.OrganisedCloud) -> gicp.OrganisedLevel:
 def _places(
     mine: gicp.OrganisedLevel, other: gicp.OrganisedLevel, T: jaxlie.SE3
 ) -> tuple[Float[Array, "2 h w"], Bool[Array, "h w"]]:
-    """Where a level's pixels are in another, and whether they show the same surface there."""
+    """Places of a level's pixels in another, and whether both show the same surface there."""
     height, width = other.valid.shape
     points = jnp.moveaxis(mine.points, -1, 0)
     R, t = T.rotation().as_matrix(), T.translation()
