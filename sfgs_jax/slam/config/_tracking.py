@@ -149,9 +149,9 @@ class TrackingConfig:
     """Least share of surface inliers among the points that the reference shows, where no keypoints confirm
     GICP for sure. After lost or missing frames the camera may be anywhere. Then half as many may disagree."""
     min_image_correlation: float = 0.9
-    """Least correlation of the two images, a median over blocks, where the keypoints are not sure. Images tell
-    a place from one whose keypoints and surface look like it. After lost or missing frames half as much may
-    differ. Frames are asked once one before them has looked like its reference. 0 asks none."""
+    """Least correlation of the two images, a median over blocks, where the keypoints are not sure. Images
+    tell a place from one whose keypoints and surface look like it. After lost or missing frames half as much
+    may differ. Frames are asked once one before them has looked like its reference. 0 asks none."""
     max_velocity_change: float = 2.0
     """Largest change of the camera's velocity since the last tracked frame where the keypoints are not sure,
     m/s. A place that only looks like the right one is seldom so near the prediction."""

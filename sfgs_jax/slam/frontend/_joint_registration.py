@@ -129,7 +129,7 @@ def _register(
             surface_alone=False,
             free=False,
             same_scale=_believed(*scale, allowed, config),
-            images=_look_alike(correlation, matched, allowed, config),
+            images=_look_alike(correlation, matched, allowed, guess_known, config),
         )
         return _without_surface(matched, start, evidence, scale, correlation)
 
@@ -158,7 +158,7 @@ def _register(
     correlation = image_correlation(source, target, T)
     evidence = evidence._replace(
         same_scale=_believed(*scale, allowed, config),
-        images=_look_alike(correlation, matched, allowed, config),
+        images=_look_alike(correlation, matched, allowed, guess_known, config),
     )
     return Registration(
         T_target_source=T,
@@ -241,10 +241,15 @@ def _scale(
 
 
 def _look_alike(
-    correlation: Float[Array, ""], matched: FeatureRegistration, allowed: Allowed, config: TrackingConfig
+    correlation: Float[Array, ""],
+    matched: FeatureRegistration,
+    allowed: Allowed,
+    guess_known: Bool[Array, ""] | bool,
+    config: TrackingConfig,
 ) -> Bool[Array, ""]:
     """True if nothing between the matches speaks against a motion. Sure keypoints need not be asked."""
-    alike = images_look_alike(correlation, config, near_guess=allowed.near_guess)
+    near_guess = allowed.near_guess & jnp.asarray(guess_known)
+    alike = images_look_alike(correlation, config, near_guess=near_guess)
     return alike | keypoints_are_sure(matched, config.features) | allowed.images
 
 

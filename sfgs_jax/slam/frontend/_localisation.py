@@ -163,7 +163,9 @@ def relocalise(
     alike, _ = most_similar(graph.signatures, signature, config.relocalisation_candidates)
     begun = int(tracker.reference_keyframes[tracker.current]) >= 0
     last = np.asarray(tracker.T_world_cam.wxyz_xyz) if begun else None
-    since, allowed = float(tracker.since_tracked), allowed_sources(tracker, params.config)
+    # Many matches and much alike images stand for a guess.
+    allowed = allowed_sources(tracker, params.config)._replace(near_guess=np.asarray(True))
+    since = float(tracker.since_tracked)
     found: list[Localised] = []
     poses: list[Float[np.ndarray, "7"]] = []
     T = se3.matrices_of(graph.poses)
