@@ -56,8 +56,8 @@ class Allowed(NamedTuple):
             alone gives no pose where many keypoints match and fit no motion, and has to agree twice as well.
         doubtful_scale: whether the sensor seems to have changed its scale of depth. Then nothing is believed
             but what shows the scale to be the same.
-        images: whether the images may differ, as they do in fog or on a moving ground. They may not where the
-            frame before looked like its reference.
+        images: whether the images may differ, as they do in fog. They may not where the frame before looked
+            like its reference.
     """
 
     surface: Bool[Array, ""] | bool = True
@@ -119,19 +119,8 @@ def _register(
     start = _choose(helpful, matched.T_target_source, guess)
     source = replace(source, keypoints=keypoints_in_time(source, params, sweep, start))
     if not config.use_surface:
-        scale = _scale(params, source, target, start, matched, sweep)
-        correlation = image_correlation(source, target, start)
-        evidence = Evidence(
-            helpful,
-            many,
-            surface=False,
-            agree=False,
-            surface_alone=False,
-            free=False,
-            same_scale=_believed(*scale, allowed, config),
-            images=_look_alike(correlation, matched, allowed, guess_known, config),
-        )
-        return _without_surface(matched, start, evidence, scale, correlation)
+        compared = _compared(params, source, target, start, matched, sweep, allowed, guess_known)
+        return _without_surface(matched, start, helpful, many, compared)
 
     surface = _align(params, source, target, matched, start, sweep)
     # Holes in the target's depth speak neither for a motion nor against it.
@@ -154,12 +143,8 @@ def _register(
     )
     by_surface = rests_on_surface(evidence)
     T = _choose(by_surface, T, start)
-    scale = _scale(params, source, target, T, matched, sweep)
-    correlation = image_correlation(source, target, T)
-    evidence = evidence._replace(
-        same_scale=_believed(*scale, allowed, config),
-        images=_look_alike(correlation, matched, allowed, guess_known, config),
-    )
+    compared = _compared(params, source, target, T, matched, sweep, allowed, guess_known)
+    evidence = evidence._replace(same_scale=compared.same_scale, images=compared.images)
     return Registration(
         T_target_source=T,
         surface_information=jnp.where(by_surface, surface.information, 0),
@@ -169,9 +154,9 @@ def _register(
         agreement=agreement,
         rmse=surface.rmse,
         num_free=num_free,
-        scale_change=scale[0],
-        scale_sigma=scale[1],
-        image_correlation=correlation,
+        scale_change=compared.scale_change,
+        scale_sigma=compared.scale_sigma,
+        image_correlation=compared.image_correlation,
     )
 
 
@@ -240,17 +225,36 @@ def _scale(
     return depth_scale_change(*lax.stop_gradient((params, source, target, T, matched, moving)))
 
 
-def _look_alike(
-    correlation: Float[Array, ""],
+class _Compared(NamedTuple):
+    """Depth and images of two frames under a motion: the scale's change, the images' correlation, and whether
+    each leaves the motion believable."""
+
+    scale_change: Float[Array, ""]
+    scale_sigma: Float[Array, ""]
+    image_correlation: Float[Array, ""]
+    same_scale: Bool[Array, ""]
+    images: Bool[Array, ""]
+
+
+def _compared(
+    params: TrackerParams,
+    source: FrameFeatures,
+    target: FrameFeatures,
+    T: jaxlie.SE3,
     matched: FeatureRegistration,
+    sweep: gicp.Sweep | None,
     allowed: Allowed,
     guess_known: Bool[Array, ""] | bool,
-    config: TrackingConfig,
-) -> Bool[Array, ""]:
-    """True if nothing between the matches speaks against a motion. Sure keypoints need not be asked."""
+) -> _Compared:
+    config, features = params.config, params.config.features
+    change, sigma = _scale(params, source, target, T, matched, sweep)
+    correlation = image_correlation(source, target, T)
     near_guess = allowed.near_guess & jnp.asarray(guess_known)
     alike = images_look_alike(correlation, config, near_guess=near_guess)
-    return alike | keypoints_are_sure(matched, config.features) | allowed.images
+    # Sure keypoints need no images, and where few match, an image may be noise.
+    asked = ~keypoints_are_sure(matched, features) & (matched.num_matches >= features.min_inliers_alone)
+    images = alike | ~asked | allowed.images
+    return _Compared(change, sigma, correlation, _believed(change, sigma, allowed, config), images)
 
 
 def _believed(
@@ -265,24 +269,34 @@ def _believed(
 def _without_surface(
     matched: FeatureRegistration,
     T: jaxlie.SE3,
-    evidence: Evidence,
-    scale: tuple[Float[Array, ""], Float[Array, ""]],
-    correlation: Float[Array, ""],
+    helpful: Bool[Array, ""],
+    many: Bool[Array, ""],
+    compared: _Compared,
 ) -> Registration:
     """The registration by keypoints alone."""
+    nothing = Evidence(
+        helpful,
+        many,
+        surface=False,
+        agree=False,
+        surface_alone=False,
+        free=False,
+        same_scale=compared.same_scale,
+        images=compared.images,
+    )
     zero = jnp.zeros(())
     return Registration(
         T_target_source=T,
         surface_information=jnp.zeros((6, 6)),
         matched=matched,
-        source=judge(evidence),
+        source=judge(nothing),
         inlier_fraction=zero,
         agreement=jnp.ones(()),
         rmse=zero,
         num_free=jnp.asarray(0),
-        scale_change=scale[0],
-        scale_sigma=scale[1],
-        image_correlation=correlation,
+        scale_change=compared.scale_change,
+        scale_sigma=compared.scale_sigma,
+        image_correlation=compared.image_correlation,
     )
 
 
