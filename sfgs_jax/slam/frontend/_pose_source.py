@@ -92,8 +92,7 @@ def surface_agrees(
         config: settings.
         near_guess: whether the camera is near the guess. Elsewhere half as many points may disagree.
     """
-    disagreeing = (1 - config.min_agreement) * (1.0 if near_guess else 0.5)
-    return agreement >= 1 - disagreeing
+    return agreement >= _asked(config.min_agreement, near_guess)
 
 
 def images_look_alike(
@@ -106,8 +105,12 @@ def images_look_alike(
         config: settings.
         near_guess: whether the camera is near the guess. Elsewhere half as much may differ.
     """
-    differing = (1 - config.min_image_correlation) * jnp.where(near_guess, 1.0, 0.5)
-    return correlation >= 1 - differing
+    return correlation >= _asked(config.min_image_correlation, near_guess)
+
+
+def _asked(least: float, near_guess: Flag) -> Float[Array, ""]:
+    """The least agreement that is asked for: away from the guess half as much may be missing."""
+    return 1 - (1 - least) * jnp.where(near_guess, 1.0, 0.5)
 
 
 def surface_fits(fraction: Float[Array, ""], config: TrackingConfig) -> Bool[Array, ""]:
