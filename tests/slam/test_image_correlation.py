@@ -10,7 +10,17 @@ import pytest
 
 from sfgs_jax import Camera, Frame
 from sfgs_jax.geometry import se3
-from sfgs_jax.slam import PoseSource, TrackingConfig, init_tracker, observe, register, tracker_params
+from sfgs_jax.gicp import GicpConfig
+from sfgs_jax.slam import (
+    FeaturesConfig,
+    PoseSource,
+    TrackingConfig,
+    init_tracker,
+    observe,
+    register,
+    track,
+    tracker_params,
+)
 from sfgs_jax.slam.frontend import Allowed, allowed_sources, image_correlation, images_look_alike
 
 CAMERA = Camera(160.0, 160.0, 79.5, 59.5, width=160, height=120)
@@ -53,6 +63,13 @@ def changed(frame, change):
     return replace(frame, rgb=np.clip(change(frame.rgb), 0, 1).astype(np.float32))
 
 
+def covered(frame, share, rng):
+    """The frame with something else in its left part."""
+    other = np.kron(rng.random((12, 16, 1)), np.ones((10, 10, 3)))
+    inside = np.arange(160)[None, :, None] < share * 160
+    return changed(frame, lambda rgb: np.where(inside, other, rgb))
+
+
 def test_images_look_alike_under_their_motion_and_under_no_other(image, correlation):
     source, target = wall(image, SHIFT), wall(image)
     assert correlation(source, target) > 0.98
@@ -81,14 +98,8 @@ def test_exposure_blur_and_noise_change_little(image, correlation, change):
 
 @pytest.mark.parametrize(("share", "expected"), [(0.35, True), (0.75, False)])
 def test_something_that_moves_may_cover_less_than_half(rng, image, correlation, share, expected):
-    def covered(rgb):
-        rgb = rgb.copy()
-        columns = int(share * 160)
-        rgb[:, :columns] = np.kron(rng.random((12, columns // 10 + 1, 1)), np.ones((10, 10, 3)))[:, :columns]
-        return rgb
-
     least = TrackingConfig().min_image_correlation
-    assert (correlation(changed(wall(image, SHIFT), covered), wall(image)) > least) == expected
+    assert (correlation(covered(wall(image, SHIFT), share, rng), wall(image)) > least) == expected
 
 
 def test_it_is_one_where_there_is_nothing_to_compare(image, correlation):
@@ -141,3 +152,25 @@ def test_images_may_differ_until_one_has_looked_like_its_reference(config, befor
     tracker = init_tracker(tracker_params(CAMERA, tracking))
     tracker = eqx.tree_at(lambda t: t.last_registration.image_correlation, tracker, jnp.asarray(before))
     assert bool(allowed_sources(tracker, tracking).images) == expected
+
+
+@pytest.fixture(scope="module")
+def never_sure():
+    """Parameters by which no keypoints are sure."""
+    features = FeaturesConfig(max_keypoints=256, max_rigid_matches=128, min_inlier_share_sure=1.0)
+    gicp = GicpConfig(levels=1, strides=(1,))
+    return tracker_params(CAMERA, TrackingConfig(features=features, gicp=gicp))
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"), [(0.0, [True, True, False]), (0.6, [True, False, False])], ids=["alike", "unlike"]
+)
+def test_a_camera_whose_velocity_is_unknown_is_as_fast_as_images_say(never_sure, image, rng, share, expected):
+    """A millisecond lies between frames. It goes 126 m/s, then half of the way back."""
+    half = tuple(x / 2 for x in SHIFT)
+    sequence = wall(image), covered(wall(image, SHIFT), share, rng), wall(image, half)
+    tracker, tracked, elapsed = init_tracker(never_sure), [], jnp.asarray(0.001)
+    for frame in sequence:
+        tracker, info = track(never_sure, tracker, jnp.asarray(frame.rgb), jnp.asarray(frame.depth), elapsed)
+        tracked.append(bool(info.tracked))
+    assert tracked == expected

@@ -62,6 +62,13 @@ def test_places_are_found_to_a_part_of_a_pixel(image, rng, how, within):
     assert np.mean(np.asarray(found.agreement) > 0.9) > 0.9
 
 
+def test_faint_patches_find_what_was_detected_pixels_off(image, rng):
+    """A Gaussian pull of a pixel back to where they were detected would leave two fifths of the shift."""
+    found = aligned(pairs_of(0.5 + 0.1 * (image - 0.5), rng), steps=60)
+    share = SHIFT @ np.asarray(found.shift) / (SHIFT @ SHIFT)
+    assert np.median(share) == pytest.approx(0.8, abs=0.05)
+
+
 def test_patches_of_other_things_do_not_agree(image, rng):
     pairs = pairs_of(image, rng)
     others = pairs._replace(target_places=jnp.roll(pairs.target_places, 7, axis=1))

@@ -47,7 +47,7 @@ class FeaturesConfig:
     min_patch_agreement: float = 0.9
     """Least correlation of the images around the keypoints of a match, as the motion by all matches lays them
     over each other. Below it they show different things that look alike."""
-    patch_steps: int = 5
+    patch_steps: int = 6
     """Steps to these places. The last two say whether there is one."""
     pixel_sigma: float = 1.0
     """Standard deviation of a keypoint's position, pixels."""
@@ -154,7 +154,8 @@ class TrackingConfig:
     may differ. Frames are asked once one before them has looked like its reference. 0 asks none."""
     max_velocity_change: float = 2.0
     """Largest change of the camera's velocity since the last tracked frame where the keypoints are not sure,
-    m/s. A place that only looks like the right one is seldom so near the prediction."""
+    m/s. A place that only looks like the right one is seldom so near the prediction. Where no velocity is
+    known, before the second frame and after one found by its looks, images have to look alike instead."""
     max_correction_alone: float = 0.3
     """Largest distance between GICP's start and its end where no keypoints confirm it, metres and radians."""
     search_angle: float = 0.2

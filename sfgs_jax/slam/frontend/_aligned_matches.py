@@ -17,7 +17,7 @@ from sfgs_jax.slam.frontend._patch_alignment import (
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._tracker import TrackerParams
 
-_DETECTED = 1.0
+_DETECTED = 2.0
 """Standard deviation of a keypoint's place as detected, along each axis, pixels."""
 _LEAST_AREA, _MOST_AREA = 0.1, 10.0
 """Change of a patch's area between two images beyond which it is compared upright."""

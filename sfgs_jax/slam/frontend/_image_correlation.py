@@ -27,8 +27,8 @@ _LEAST_FILL = 0.15
 """Least share of a block's pixels that both images show."""
 _LEAST_CONTRAST = 0.01
 """Least standard deviation of the grey values in a block, of 1, in each of the images."""
-_LEAST_BLOCKS = 24
-"""Blocks below which nothing is said: half the image. Views that share less differ by their places alone."""
+_LEAST_BLOCKS = 16
+"""Blocks below which nothing is said: a third of the image. Views that share less say little."""
 _OCCLUDED = 0.04
 """Difference of depth, as a share of it, beyond which two pixels show different things."""
 

@@ -24,6 +24,8 @@ _REACH = 3.0
 """Largest shift along each axis, pixels of such an image; what has to move farther shows something else."""
 _NOISE = 0.02
 """Standard deviation of the difference of two patches at a pixel, of 1."""
+_FIRM = 0.5
+"""Shift, pixels, up to which the pull back to where a place was detected grows (pseudo-Huber kernel)."""
 _RELAXATION = 0.8
 """Share of a Gauss-Newton step. Where the source is sharper than the target, whole steps overshoot."""
 _AT_REST = 0.1
@@ -162,7 +164,7 @@ class _Template(NamedTuple):
         values: (n, K).
         across: (n, K) derivatives along the source's rows.
         down: (n, K) along its columns.
-        hessian: of the place's negative log-likelihood, the upper triangle's elements (K,).
+        hessian: of the place's negative log-likelihood as detected, the upper triangle's elements (K,).
         pull: 1 / variance of a place as detected.
     """
 
@@ -198,7 +200,9 @@ def _slope(pairs: PatchPairs, template: _Template, shift: Float[Array, "2 K"]) -
     gain = jnp.sum(seen * values, 0) / jnp.where(square > 0, square, 1)
     off = values - seen / jnp.maximum(gain, _LEAST_GAIN)[None]
     by = jnp.stack([jnp.sum(template.across * off, 0), jnp.sum(template.down * off, 0)])
-    return _NOISE**-2 * by - template.pull * shift
+    # Some places are off by pixels, since they stay with an outline beside them.
+    pull = template.pull / jnp.sqrt(1 + jnp.sum(shift * shift, 0) / _FIRM**2)
+    return _NOISE**-2 * by - pull[None] * shift
 
 
 def _centred(patch: Float[Array, "n K"]) -> Float[Array, "n K"]:

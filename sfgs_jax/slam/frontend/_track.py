@@ -275,11 +275,17 @@ def _register_at(inputs: _Inputs, attempt: Int[Array, ""], found: Registration |
 def _plausible(
     found: Registration, predicted: jaxlie.SE3, tracker: Tracker, config: TrackingConfig
 ) -> Registration:
-    """A registration, lost if its keypoints are not sure and the camera's velocity would change too much."""
+    """A registration, lost if its keypoints are not sure and the camera's velocity would change too much.
+
+    Before the second frame, and after one found by its looks, no velocity is known. Then images tell instead.
+    """
     off = jnp.linalg.norm(se3.compose(se3.inverse(predicted), found.T_target_source).translation())
     seconds = tracker.since_tracked
     jumps = (seconds > 0) & (off > config.max_velocity_change * seconds)
-    unlikely = found.by_keypoints & jumps & ~keypoints_are_sure(found.matched, config.features)
+    unmeasured = ~tracker.has_motion & (tracker.lost_in_a_row == 0)
+    alike = images_look_alike(found.image_correlation, config, near_guess=False)
+    sure = keypoints_are_sure(found.matched, config.features) | (unmeasured & alike)
+    unlikely = found.by_keypoints & jumps & ~sure
     source = jnp.where(unlikely, int(PoseSource.LOST), found.source)
     return eqx.tree_at(lambda f: f.source, found, source)
 
