@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import jax.numpy as jnp
 import jaxlie
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from sfgs_jax import slam
 from sfgs_jax.datasets import SyntheticRecording
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import Frame, Trajectory, read_tum, se3
-from sfgs_jax.slam.frontend import NO_SUSPICION
+from sfgs_jax.slam.frontend import NO_SUSPICION, frames_until_new_map
 from sfgs_jax.slam.keyframes import loop_pairs, merged, neighbours, optimise_poses, prior_noise
 from sfgs_jax.slam.state import Edge, Keyframe, empty_graph, frames_by_map, maps_of
 from sfgs_jax.splatting import load_ply
@@ -68,6 +69,18 @@ def test_a_place_that_nobody_knows_begins_another_map(runs, walk):
         assert ate(found, _true(walk, FIRST_PART + SECOND_PART, found.timestamps)).rmse_m < 0.01
         # The deviations are those within the map.
         assert np.sqrt(np.trace(part.covariances[:, :3, :3], axis1=1, axis2=2)).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("at", "new_map_frames", "expected"), [(1, 30, 10), (2, 30, 5), (1, 8, 8), (2, 0, 0), (-1, 30, 30)]
+)
+def test_a_small_map_is_left_sooner(runs, walk, config, at, new_map_frames, expected):
+    """Keyframes 0 and 1 are one map, 2 is another; -1 is a new session, whose camera may be in any map."""
+    graph = _graph(runs, [0, 0, 2], [0, 1, 100])
+    tracker = slam.init(walk.camera, config).tracker
+    tracker = replace(tracker, reference_keyframes=jnp.full_like(tracker.reference_keyframes, at))
+    waits = slam.GraphConfig(new_map_frames=new_map_frames, relocalisation_frames=5)
+    assert frames_until_new_map(tracker, graph, waits) == expected
 
 
 def test_maps_become_one_where_they_meet(runs, walk):

@@ -75,7 +75,8 @@ class GraphConfig:
     """Frames in a row that have to be found at one place before they are believed beyond that distance."""
     new_map_frames: int = 30
     """Frames with keypoints that fit no known place, after which a lost camera begins another map; 0 never
-    begins one. Maps become one when a place of both is recognised."""
+    begins one. Fewer do where it leaves a small map: `relocalisation_frames` for each keyframe. Maps become
+    one when a place of both is recognised."""
     map_support: int = 5
     """Loops between two maps that must agree before the maps become one, at most `max_loop_candidates`.
     Nothing else tells where the maps lie to each other."""

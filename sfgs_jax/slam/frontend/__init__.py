@@ -24,6 +24,7 @@ from sfgs_jax.slam.frontend._localisation import place as place
 from sfgs_jax.slam.frontend._localisation import relocalise as relocalise
 from sfgs_jax.slam.frontend._localisation import search_by_surface as search_by_surface
 from sfgs_jax.slam.frontend._new_map import begin_map as begin_map
+from sfgs_jax.slam.frontend._new_map import frames_until_new_map as frames_until_new_map
 from sfgs_jax.slam.frontend._new_map import without_pose as without_pose
 from sfgs_jax.slam.frontend._patch_alignment import PatchPairs as PatchPairs
 from sfgs_jax.slam.frontend._patch_alignment import aligned as aligned

@@ -22,7 +22,7 @@ from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._image_signature import most_similar
 from sfgs_jax.slam.frontend._joint_registration import register
-from sfgs_jax.slam.frontend._new_map import begin_map, with_unknown_place
+from sfgs_jax.slam.frontend._new_map import begin_map, frames_until_new_map, with_unknown_place
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation
 from sfgs_jax.slam.frontend._recorrection import features_in_use
 from sfgs_jax.slam.frontend._suspicion import NO_SUSPICION, is_reachable, strengthened, undisputed
@@ -125,7 +125,7 @@ def find_frame(
         return Found(*place(params, after, info.features, place_of), by_looks=place_of.relocalised)
     suspicion = with_unknown_place(tracker.suspicion, suspicion, info.features, config)
     after = eqx.tree_at(lambda t: t.suspicion, after, jax.device_put(suspicion))
-    if 0 < config.new_map_frames <= int(suspicion.unknown):
+    if 0 < frames_until_new_map(after, graph, config) <= int(suspicion.unknown):
         begun, first = begin_map(params, after, frame, graph)
         return Found(begun, first, begins_map=bool(first.new_keyframe))
     return Found(after, info)

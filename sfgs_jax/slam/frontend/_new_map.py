@@ -13,7 +13,7 @@ from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._track import TrackInfo, track
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
-from sfgs_jax.slam.state._maps import next_origin
+from sfgs_jax.slam.state._maps import maps_of, next_origin
 from sfgs_jax.slam.state._tracker import Suspicion, Tracker, TrackerParams, empty_tracker
 from sfgs_jax.superfeats import mean_grey
 
@@ -35,6 +35,24 @@ def with_unknown_place(
     # A dark frame, or one of a bare wall, would not be recognised in a known place either.
     recognisable = int((valid & (depth > 0)).sum()) >= config.relocalisation_inliers
     return replace(suspicion, unknown=np.asarray(int(before.unknown) + recognisable, np.int32))
+
+
+def frames_until_new_map(tracker: Tracker, graph: KeyframeGraph, config: GraphConfig) -> int:
+    """Frames that fit no known place after which a lost camera begins another map; 0 for never.
+
+    A map of a few keyframes leaves little to come back to. The first frame may have been a bad one.
+
+    Args:
+        tracker: after the frame was lost.
+        graph: with at least one keyframe.
+        config: settings.
+    """
+    reference = int(tracker.reference_keyframes[tracker.current])
+    if reference < 0:
+        return config.new_map_frames
+    maps = maps_of(graph)
+    size = int((maps == maps[reference]).sum())
+    return min(config.new_map_frames, config.relocalisation_frames * size)
 
 
 def begin_map(
