@@ -154,8 +154,8 @@ class TrackingConfig:
     may differ. Frames are asked once one before them has looked like its reference. 0 asks none."""
     max_velocity_change: float = 2.0
     """Largest change of the camera's velocity since the last tracked frame where the keypoints are not sure,
-    m/s. A place that only looks like the right one is seldom so near the prediction. Where no velocity is
-    known, before the second frame and after one found by its looks, images have to look alike instead."""
+    m/s. A place that only looks like the right one is seldom so near the prediction. Before the second frame,
+    and after one found by its looks, no velocity is known, and images have to look alike instead."""
     max_correction_alone: float = 0.3
     """Largest distance between GICP's start and its end where no keypoints confirm it, metres and radians."""
     search_angle: float = 0.2
