@@ -172,7 +172,7 @@ def test_a_merged_map_lies_where_the_edge_puts_it(runs):
     found = merged(graph, maps_of(graph), [_edge(1, 3, 0.5)])
     np.testing.assert_allclose(found.poses[:, 4], [0, 1, 0.5, 1.5, 2.5], atol=1e-5)
     assert not maps_of(found).any()
-    # Those of keyframes 1 and 3 and of the edge add up, and that of the motion from 3 to 4 comes on top.
+    # Keyframes 1 and 3, the edge, and the motion from 3 to 4 each add their covariance.
     noise = found.noise.covariance[0, 0]
     np.testing.assert_allclose(found.covariances[3][0, 0], 1e-4 + 1e-4 + noise + 3e-4 + 3e-4, rtol=1e-3)
     np.testing.assert_array_equal(found.covariances[:2], graph.covariances[:2])

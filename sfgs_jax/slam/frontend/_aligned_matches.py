@@ -18,7 +18,8 @@ from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _DETECTED = 2.0
-"""Standard deviation of a keypoint's place as detected, along each axis, pixels."""
+"""Standard deviation of a keypoint's place as detected, along each axis, pixels: half a pixel as a rule, and
+four beside an outline."""
 _LEAST_AREA, _MOST_AREA = 0.1, 10.0
 """Change of a patch's area between two images beyond which it is compared upright."""
 

@@ -164,7 +164,7 @@ class _Template(NamedTuple):
         values: (n, K).
         across: (n, K) derivatives along the source's rows.
         down: (n, K) along its columns.
-        hessian: of the place's negative log-likelihood as detected, the upper triangle's elements (K,).
+        hessian: of the negative log-likelihood at the place as detected, the upper triangle's elements (K,).
         pull: 1 / variance of a place as detected.
     """
 
