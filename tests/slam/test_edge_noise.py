@@ -54,6 +54,21 @@ def graph(truth, room, config):
     return on_an_arc(room, config, truth, COUNT)
 
 
+def test_keyframes_of_other_maps_close_no_cycles(graph, config):
+    """One cycle and two maps of two keyframes tell what the cycle alone tells."""
+    poses = np.tile(np.eye(4), (7, 1, 1))
+    errors, pairs = (
+        0.002 * np.random.default_rng(5).normal(size=(5, 6)),
+        [(0, 1), (1, 2), (0, 2), (3, 4), (5, 6)],
+    )
+    alone, beside = (
+        edge_noise(replace(graph, edges=edges_with(errors[:count], pairs[:count], poses)), config.graph)
+        for count in (3, 5)
+    )
+    np.testing.assert_allclose(beside.covariance, alone.covariance, rtol=1e-6)
+    assert beside.redundancy == pytest.approx(5 / 4)
+
+
 def test_the_cycles_tell_the_covariance(graph, truth, config):
     """All its directions, to a third of their deviations, from three times as many edges as keyframes."""
     noise = edge_noise(graph, config.graph)

@@ -76,8 +76,7 @@ def depth_scale_change(
         depth = source.keypoints.depth
         measured = jnp.where(depth > 0, 1 / jnp.where(depth > 0, depth, 1), 0)
         # Only what the source measured moves with its scale, which is inverse depth.
-        inverse = measured / params.noise.inverse_depth
-        by_scale = jnp.concatenate([jnp.zeros_like(inverse), jnp.zeros_like(inverse), inverse])
+        by_scale = -(rows.by_measured * measured[None]).reshape(-1)
         total += _normal_matrix(rows.pose, by_scale, rows.residual, rows.weights)
     # Scaled before it is factorised, for float32; a pose that nothing fixes takes nothing away.
     scale = lax.rsqrt(jnp.maximum(jnp.diagonal(total), 1e-12))

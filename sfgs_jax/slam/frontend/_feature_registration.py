@@ -280,10 +280,10 @@ def _rigid_motion(matched: _Matched, params: TrackerParams) -> jaxlie.SE3:
 
 
 def _explained(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams, pixels: float) -> Bool[Array, " k"]:
-    residual, _, front = row_residuals(T, rows, params)
-    error = jnp.sum(residual[:2] ** 2, axis=0)
-    near = jnp.abs(residual[2]) < params.config.features.inlier_depth_sigmas
-    return front & near & (error < (pixels / params.noise.pixels) ** 2)
+    at = row_residuals(T, rows, params)
+    error = jnp.sum(at.residual[:2] ** 2, axis=0)
+    near = jnp.abs(at.residual[2]) < params.config.features.inlier_depth_sigmas
+    return at.has_image & near & (error < (pixels / params.noise.pixels) ** 2)
 
 
 def _shares(rows: MatchedRows, camera: Camera) -> Float[Array, " k"]:

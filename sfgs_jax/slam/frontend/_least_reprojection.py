@@ -12,8 +12,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sfgs_jax import gicp
 from sfgs_jax.arrays import gauss_jordan
-from sfgs_jax.geometry import kernel_rho, kernel_weight, reprojection_residuals, se3
+from sfgs_jax.geometry import ReprojectionResiduals, kernel_rho, kernel_weight, reprojection_residuals, se3
 from sfgs_jax.sensors import carried, row_places
+from sfgs_jax.slam.frontend._target_noise import target_noise, with_target_noise
 from sfgs_jax.slam.state._tracker import TrackerParams
 
 _RISE = 1e-3
@@ -34,10 +35,14 @@ class MatchedRows(NamedTuple):
     weights: Float[Array, " k"] | None = None
 
 
-def row_residuals(
-    T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams
-) -> tuple[Float[Array, "3 k"], Float[Array, "3 6 k"], Bool[Array, " k"]]:
-    """Whitened residuals of T_target_source, their Jacobians in its tangent, and which rows have an image."""
+def row_residuals(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams) -> ReprojectionResiduals:
+    """Residuals of T_target_source and their derivatives, in standard deviations of what the source measures.
+
+    Args:
+        T: the motion.
+        rows: the matches.
+        params: parameters of tracking.
+    """
     # Rows that are not valid may hold anything: they go to where nothing has an image.
     points = jnp.where(rows.valid, se3.transform(se3.inverse(T), rows.points).T, 0)
     if rows.sweep is not None:
@@ -45,7 +50,7 @@ def row_residuals(
         times = moving.timing.colour_times(row_places(rows.pixels[:, 1], params.camera.height))
         # The Jacobian leaves out that the twist turns with T: it says where to step, not where to end.
         points = carried(points, moving.twist, -times)
-    found = reprojection_residuals(
+    return reprojection_residuals(
         params.camera,
         points,
         rows.pixels.T,
@@ -53,7 +58,6 @@ def row_residuals(
         sigma=params.noise.pixels,
         inverse_depth_sigma=params.noise.inverse_depth,
     )
-    return found.residual, found.pose_jacobian, found.has_image
 
 
 class _Equations(NamedTuple):
@@ -81,9 +85,12 @@ def _equations(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams) -> _Equa
 
     Source: Triggs et al., Bundle Adjustment, a Modern Synthesis (2000), section 4.3.
     """
-    residual, jacobian, front = row_residuals(T, rows, params)
+    at = row_residuals(T, rows, params)
+    points = jnp.where(rows.valid[:, None], rows.points, 0)
+    at = with_target_noise(at, target_noise(T, points, at, params.noise.inverse_depth))
+    residual, jacobian = at.residual, at.pose_jacobian
     square, width = jnp.sum(residual**2, axis=0), params.config.features.kernel_width
-    weight = jnp.where(front, kernel_weight(square, "geman_mcclure", width), 0)
+    weight = jnp.where(at.has_image, kernel_weight(square, "geman_mcclure", width), 0)
     weight = weight if rows.weights is None else weight * rows.weights
     rows_of = jnp.moveaxis(jacobian, 1, 0).reshape(6, -1)
     weighted = jnp.moveaxis(weight[None, None] * jacobian, 1, 0).reshape(6, -1)

@@ -15,6 +15,7 @@ from sfgs_jax.arrays import dot
 from sfgs_jax.geometry import ReprojectionResiduals, kernel_weight, reprojection_residuals, se3
 from sfgs_jax.sensors import carried, row_places
 from sfgs_jax.slam.config import FeaturesConfig
+from sfgs_jax.slam.frontend._target_noise import target_noise, whitened, with_target_noise
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import FeatureRegistration
 from sfgs_jax.slam.state._tracker import TrackerParams
@@ -62,11 +63,13 @@ class KeypointRows(eqx.Module):
     Attributes:
         points: (3, K) of the target in the source's camera, metres.
         at: residuals and derivatives.
+        by_measured: (3, K) derivative of the residuals by the inverse depth that the source measured.
         weight: (K,) of independent measurements; 0 where there is no such match.
     """
 
     points: Float[Array, "3 K"]
     at: ReprojectionResiduals
+    by_measured: Float[Array, "3 K"]
     weight: Float[Array, " K"]
 
     @property
@@ -148,9 +151,11 @@ def keypoint_rows(
         moving: motion of the source while it was read; None where it stood still or is rectified.
     """
     camera, config = params.camera, params.config.features
-    pixels = matched.pixels
-    points = se3.transform(se3.inverse(T_target_source), target.keypoints.points[matched.index]).T
-    points = jnp.where(matched.inliers[None], points, jnp.asarray([[0], [0], [1]], points.dtype))
+    pixels, depth = matched.pixels, source.keypoints.depth
+    ahead = jnp.asarray([0, 0, 1], pixels.dtype)
+    in_target = jnp.where(matched.inliers[:, None], target.keypoints.points[matched.index], ahead)
+    points = se3.transform(se3.inverse(T_target_source), in_target).T
+    points = jnp.where(matched.inliers[None], points, ahead[:, None])
     seen = points
     if moving is not None:
         times = moving.timing.colour_times(row_places(pixels[:, 1], camera.height))
@@ -159,11 +164,15 @@ def keypoint_rows(
         camera,
         seen,
         pixels.T,
-        source.keypoints.depth,
+        depth,
         sigma=params.noise.pixels,
         inverse_depth_sigma=params.noise.inverse_depth,
     )
-    return KeypointRows(points, at, _weights(at, matched, config))
+    w = target_noise(T_target_source, in_target, at, params.noise.inverse_depth)
+    at = with_target_noise(at, w)
+    measured, zero = jnp.where(depth > 0, -1 / params.noise.inverse_depth, 0), jnp.zeros_like(depth)
+    by_measured = whitened(jnp.stack([zero, zero, measured])[:, None], w)[:, 0]
+    return KeypointRows(points, at, by_measured, _weights(at, matched, config))
 
 
 def _weights(

@@ -34,10 +34,6 @@ lies beside the surface, the more the farther it is. In a room seen without erro
 4 mm at 2 m, and this threshold leaves 0.1 mm. With noise those from 0.7 to 0.97 leave up to 0.9 mm."""
 
 
-_LEAST_EXCESS = 0.01
-"""Surfaces seen without noise count as measured ten times as well as a sensor's, at most."""
-
-
 class ToldOfDepth(NamedTuple):
     """Normal equations of the parameters, with the pose eliminated.
 
@@ -83,9 +79,10 @@ def depth_equations(
     kind = int(found.source)
     by_surface, by_keypoints = kind != PoseSource.KEYPOINTS, kind in BY_KEYPOINTS
     # The motion moves as the registration weighs both. Surfaces tell the less, the farther they miss each
-    # other.
+    # other. If they miss by less than their noise, they tell no more for it: what is left is no noise, and
+    # alike in all pairs.
     weighed = surface * by_surface + keypoints * by_keypoints
-    told = surface / np.maximum(excess, _LEAST_EXCESS) * by_surface
+    told = surface / np.maximum(excess, 1) * by_surface
     alone = together = _left(told)
     if params.config.estimate_extrinsic:
         together = _left(told + keypoints * by_keypoints)
@@ -187,19 +184,18 @@ def _keypoint_rows(
     target_pixels = target.keypoints.features.keypoints[matched.index]
     grid = grid_shares(target_pixels, camera) * seen[:, 2][None]
     slopes = depth_slopes(seen.T, target.keypoints.normals[matched.index].T)
-    depth, known = source.keypoints.depth, source.keypoints.depth > 0
-    measured = jnp.where(known, 1 / params.noise.inverse_depth, 0)[None]
-    own_grid = measured * grid_shares(pixels, camera)
+    depth = source.keypoints.depth
+    own_grid = grid_shares(pixels, camera)
     own_slopes = depth_slopes(source.keypoints.points.T, source.keypoints.normals.T)
-    own_slopes *= measured / jnp.where(known, depth, 1)[None]
+    own_slopes /= jnp.where(depth > 0, depth, 1)[None]
     # Only where the surface has one normal is it known how an extrinsic changes a keypoint's depth.
     flat = _is_flat_at(source, camera, pixels) & _is_flat_at(target, camera, target_pixels)
     weight = jnp.where(flat, rows.weight, 0)
 
     def row(axis: int) -> _Rows:
-        by_grid, by_slopes = along[axis][None] * grid, along[axis][None] * slopes
-        if axis == 2:
-            by_grid, by_slopes = by_grid + own_grid, by_slopes + own_slopes
+        by_target, by_source = along[axis][None], rows.by_measured[axis][None]
+        by_grid = by_target * grid - by_source * own_grid
+        by_slopes = by_target * slopes - by_source * own_slopes
         rest = jnp.concatenate([by_slopes, rows.at.residual[axis][None]])
         return _Rows(rows.at.pose_jacobian[axis], by_grid, rest, weight)
 

@@ -13,6 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.config import GraphConfig
@@ -86,8 +88,14 @@ def _by_times(graph: KeyframeGraph, edges: Sequence[Edge]) -> Float[np.ndarray, 
 
 
 def _edges_of_a_tree(edges: Sequence[Edge]) -> int:
-    """Edges that would tie the same keyframes without a cycle."""
-    return len({number for edge in edges for number in (edge.target, edge.source)}) - 1
+    """Edges that would tie the same keyframes together as these do, without a cycle."""
+    if not edges:
+        return 0
+    ends, places = np.unique([(edge.target, edge.source) for edge in edges], return_inverse=True)
+    rows, columns = places.reshape(-1, 2).T
+    tied = coo_array((np.ones(len(edges)), (rows, columns)), shape=(len(ends), len(ends)))
+    # Each map is a tree of its own.
+    return len(ends) - connected_components(tied, directed=False, return_labels=False)
 
 
 def _around(edges: Sequence[Edge], depth_parameters: Float[np.ndarray, " G"]) -> Float[np.ndarray, "n 6"]:
