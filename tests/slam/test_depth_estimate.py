@@ -160,7 +160,7 @@ def test_keypoints_show_the_extrinsic_and_surfaces_alone_the_distortion(register
 
 
 def test_exact_depth_tells_little_more_than_noisy_depth():
-    """What is left where nothing has noise, as at creases, is alike in all pairs and would add up."""
+    """Without noise a little is left, as at creases: it is alike in all pairs and would add up."""
     told = []
     for noise in (False, True):
         room = SyntheticRecording(num_frames=60, width=256, height=192, noise=noise)
