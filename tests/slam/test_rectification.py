@@ -188,6 +188,16 @@ def test_the_motion_to_the_next_frame_corrects_a_keyframe_whose_motion_changed(
     assert graph.keyframes[0].edition == 1
 
 
+def test_a_keyframe_tells_the_motion_that_it_was_rectified_by(motion, early):
+    keyframe, twist = early[1].keyframes[0], np.asarray(motion.twist)
+    assert not bool(keyframe.motion.known)
+    assert not bool(replace(keyframe, twist=twist).motion.known), "its rows lie where they were read"
+    found = replace(keyframe, twist=twist, times=TIMES).motion
+    assert bool(found.known)
+    np.testing.assert_array_equal(found.twist, twist)
+    np.testing.assert_array_equal(found.timing.vector, TIMES)
+
+
 def test_a_keyframe_whose_times_are_unknown_keeps_its_motion(motion, early):
     params, graph = early
     assert with_motion_to_next(params, graph, np.asarray(motion.twist), 1 / 30) is graph

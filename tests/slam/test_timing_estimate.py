@@ -1,7 +1,9 @@
 """Times of the rows, estimated while tracking a camera with rolling shutters and a delay."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
+import jax
 import numpy as np
 import pytest
 
@@ -10,7 +12,9 @@ from sfgs_jax.arrays import InputError
 from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.evaluation import ate
 from sfgs_jax.geometry import Trajectory, se3
+from sfgs_jax.gicp import RowMotion
 from sfgs_jax.sensors import SensorModel, SensorTiming
+from sfgs_jax.slam.frontend import Localised, place
 from sfgs_jax.superfeats import mean_grey
 
 FAULTS = KinectFaults(depth_delay=0.012, colour_readout=0.03, depth_readout=0.025)
@@ -34,32 +38,48 @@ def tracking(config):
     return replace(config.tracking, keyframe_translation=0.1)
 
 
+class Run(NamedTuple):
+    """What came of a run: the times and their covariance, the ATE, and the frames that became keyframes."""
+
+    params: slam.TrackerParams
+    tracker: slam.Tracker
+    last: slam.TrackInfo
+    timing: SensorTiming
+    covariance: jax.Array
+    error: float
+    keyframes: list[int]
+
+
 @pytest.fixture(scope="module")
 def tracked(recording, frames, tracking):
-    """Trackers and trajectories of a run with the times estimated, and of one without."""
+    """A run with the times estimated, one without, and one that begins with the times of the first."""
 
     def run(estimate_timing, timing=None):
         settings = replace(tracking, estimate_timing=estimate_timing)
         params = slam.tracker_params(recording.camera, settings, SensorModel(timing))
-        tracker, poses = slam.init_tracker(params), []
+        tracker, infos = slam.init_tracker(params), []
         for i, frame in enumerate(frames):
             elapsed = np.float32(1 / 30 if i else 0)
             tracker, info = slam.track(params, tracker, mean_grey(frame.rgb), frame.depth, elapsed)
             assert bool(info.tracked)
-            poses.append(info.T_world_cam.wxyz_xyz)
-        trajectory = Trajectory(recording.timestamps[:COUNT], se3.matrices_of(np.stack(poses)))
-        return slam.estimated_timing(params, tracker), ate(trajectory, recording.ground_truth).rmse_m
+            infos.append(info)
+        poses = np.stack([info.T_world_cam.wxyz_xyz for info in infos])
+        trajectory = Trajectory(recording.timestamps[:COUNT], se3.matrices_of(poses))
+        found, covariance = slam.estimated_timing(params, tracker)
+        keyframes = [i for i, info in enumerate(infos) if info.new_keyframe]
+        error = ate(trajectory, recording.ground_truth).rmse_m
+        return Run(params, tracker, infos[-1], found, covariance, error, keyframes)
 
     first = run(True)
-    return {"without": run(False), "first": first, "next": run(True, first[0][0])}
+    return {"without": run(False), "first": first, "next": run(True, first.timing)}
 
 
 def test_the_times_are_found_with_their_uncertainty(tracked):
-    for run, tolerance in (("first", 0.004), ("next", 0.002)):
-        (timing, covariance), _ = tracked[run]
-        off = np.asarray(timing.vector) - (FAULTS.depth_delay, FAULTS.colour_readout, FAULTS.depth_readout)
-        sigmas = np.sqrt(np.diag(covariance))
-        np.testing.assert_array_less(abs(off), tolerance)
+    for run in ("first", "next"):
+        truth = FAULTS.depth_delay, FAULTS.colour_readout, FAULTS.depth_readout
+        off = np.asarray(tracked[run].timing.vector) - truth
+        sigmas = np.sqrt(np.diag(tracked[run].covariance))
+        np.testing.assert_array_less(abs(off), 0.002)
         np.testing.assert_array_less(abs(off), 4 * sigmas)
 
 
@@ -79,17 +99,36 @@ def test_surfaces_alone_tell_the_readout_and_no_delay(recording, frames, trackin
     assert abs(timing.depth_readout - FAULTS.depth_readout) < 3 * readout < 0.005
 
 
+def test_the_first_frame_gives_way_to_one_with_two_motions_behind_it(tracked):
+    """Rows of the first lie where they were read. Others stay keyframes for as long as they are seen well."""
+    assert tracked["first"].keyframes[:2] == [0, 2]
+    assert tracked["without"].keyframes[1] > 2
+    assert np.diff(tracked["first"].keyframes[1:]).min() > 2
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_frames_move_their_rows_where_those_of_the_keyframe_were_moved_that_they_are_found_in(tracked, known):
+    params, tracker, last = tracked["first"][:3]
+    twist = np.full(6, 0.1, np.float32)
+    motion = RowMotion(*jax.device_put((twist, params.timing, np.asarray(known))))
+    keyframe, pose = int(last.reference), np.asarray(last.T_world_cam.wxyz_xyz)
+    found = Localised(keyframe, last.features, motion, pose, last.registration, False, True)
+    after, _ = place(params, tracker, last.features, found)
+    kept = jax.tree.map(lambda ring: np.asarray(ring)[after.current], after.reference_motions)
+    assert bool(kept.known) == known
+    np.testing.assert_array_equal(kept.twist, twist)
+
+
 def test_times_that_would_have_no_effect_are_refused(recording, tracking):
     with pytest.raises(InputError, match="estimate_timing"):
         slam.tracker_params(recording.camera, tracking, SensorModel(SensorTiming(depth_delay=0.01)))
 
 
 def test_without_the_estimate_the_times_stay_what_they_were(tracked):
-    (timing, _), _ = tracked["without"]
-    np.testing.assert_array_equal(timing.vector, 0)
+    np.testing.assert_array_equal(tracked["without"].timing.vector, 0)
 
 
 def test_poses_are_better_for_it(tracked):
-    without, first, following = (tracked[run][1] for run in ("without", "first", "next"))
+    without, first, following = (tracked[run].error for run in ("without", "first", "next"))
     assert first < 0.7 * without
     assert following < 0.5 * without

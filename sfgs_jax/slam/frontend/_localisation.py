@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sfgs_jax.geometry import Frame, se3
+from sfgs_jax.gicp import RowMotion
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._image_signature import most_similar
@@ -49,6 +50,7 @@ class Localised(NamedTuple):
     Attributes:
         keyframe: number of the keyframe that it was registered to.
         features: of that keyframe.
+        motion: of its rows, by which the features were rectified.
         pose: its `T_world_cam` as wxyz_xyz.
         registration: the registration.
         bridged: whether that keyframe is the frame before, still to be inserted.
@@ -57,6 +59,7 @@ class Localised(NamedTuple):
 
     keyframe: int
     features: FrameFeatures
+    motion: RowMotion
     pose: Float[Array | np.ndarray, "7"]
     registration: Registration
     bridged: bool
@@ -174,7 +177,8 @@ def relocalise(
         registration = register(params, features, target, se3.identity(), allowed, guess_known=False)
         if not supports_relocalisation(registration, config):
             continue
-        found.append(Localised(number, target, graph.poses[number], registration, False, True))
+        motion, pose = graph.keyframes[number].motion, graph.poses[number]
+        found.append(Localised(number, target, motion, pose, registration, False, True))
         T_keyframe_cam = se3.matrices_of(np.asarray(registration.T_target_source.wxyz_xyz)[None])[0]
         poses.append(se3.parameters_of((T[number] @ T_keyframe_cam)[None])[0])
         if last is not None and is_reachable(poses[-1], last, since, config):
@@ -204,6 +208,8 @@ def search_by_surface(params: TrackerParams, tracker: Tracker, features: FrameFe
     target = rectified_last(params, tracker) if bridged else reference_at(tracker, tracker.current)
     pose = tracker.T_world_cam.wxyz_xyz if bridged else tracker.reference_poses[tracker.current]
     keyframe = tracker.num_keyframes if bridged else tracker.reference_keyframes[tracker.current]
+    ring, current = tracker.reference_motions, tracker.current
+    motion = tracker.last_motion if bridged else jax.tree.map(lambda x: x[current], ring)
     # It is not near any of these guesses, but in reach of them.
     allowed = allowed._replace(near_guess=np.asarray(False))
     for turn in config.search_angle * _TURNS:
@@ -211,7 +217,7 @@ def search_by_surface(params: TrackerParams, tracker: Tracker, features: FrameFe
         found = register(params, features, target, start, allowed)
         # Nothing confirms the guess where the surface leaves a direction free.
         if int(found.source) not in (PoseSource.LOST, PoseSource.MOTION_MODEL):
-            return Localised(int(keyframe), target, pose, found, bridged, False)
+            return Localised(int(keyframe), target, motion, pose, found, bridged, False)
     return None
 
 
@@ -233,6 +239,7 @@ def place(
         tracker,
         features,
         found.features,
+        found.motion,
         found.pose,
         keyframe,
         found.registration,
@@ -247,6 +254,7 @@ def _place(
     tracker: Tracker,
     features: FrameFeatures,
     reference: FrameFeatures,
+    motion: RowMotion,
     pose: Array,
     keyframe: Array,
     found: Registration,
@@ -254,9 +262,7 @@ def _place(
     bridged: Array,
 ) -> tuple[Tracker, TrackInfo]:
     before = tracker.T_world_cam
-    # The motion by which the reference was rectified is not kept with keyframes.
-    unknown = jax.tree.map(jnp.zeros_like, tracker.last_motion)
-    tracker = with_reference(tracker, reference, unknown, jnp.asarray(pose), keyframe)
+    tracker = with_reference(tracker, reference, motion, jnp.asarray(pose), keyframe)
     count = jnp.maximum(tracker.num_keyframes, keyframe + 1)
     tracker = eqx.tree_at(lambda t: t.num_keyframes, tracker, count)
     tracker, info = settle(

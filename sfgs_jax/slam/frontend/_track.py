@@ -147,15 +147,18 @@ def settle(
     is_first, tracked = tracker.num_keyframes == 0, source != PoseSource.LOST
     if params.config.features.align_patches:
         seen = _with_places(seen, found, params.camera)
-    # A pose that rests on the motion model in part would pass its error on to every later frame.
-    firm = (source != PoseSource.MOTION_MODEL) & ~jnp.asarray(relocalised)
-    could_be_keyframe = tracked & seen.registrable & firm
-    wanted = needs_keyframe(found, params.config) | runs_out_of_keypoints(found, seen, params.config)
-    new_keyframe = could_be_keyframe & (is_first | wanted)
     T = jnp.where(tracked & ~is_first, found.T_target_source.wxyz_xyz, tracker.T_reference_cam.wxyz_xyz)
     sweep = _sweep(params, tracker, tracker.T_reference_cam)
     # Without an estimate no motion is ever known, that of the last frame neither.
     motion = tracker.last_motion if sweep is None else sweep.at(jaxlie.SE3(T))
+    # A pose that rests on the motion model in part would pass its error on to every later frame.
+    firm = (source != PoseSource.MOTION_MODEL) & ~jnp.asarray(relocalised)
+    could_be_keyframe = tracked & seen.registrable & firm
+    wanted = needs_keyframe(found, params.config) | runs_out_of_keypoints(found, seen, params.config)
+    # The first frame's motion was unknown, and its rows lie where they were read. So do those of the second,
+    # which is off for that. The third has two motions behind it, and gives the next ones a true reference.
+    wanted |= motion.known & tracker.has_motion & ~tracker.reference_motions.known[tracker.current]
+    new_keyframe = could_be_keyframe & (is_first | wanted)
     tracker = _with_timing(params, tracker, seen, found, motion, tracked & ~is_first)
     tracker = _moved(tracker, before, jaxlie.SE3(T), source, relocalised)
     other = is_other_scale(found.scale_change, found.scale_sigma, params.config.max_scale_change)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sfgs_jax.geometry import se3
+from sfgs_jax.gicp import RowMotion
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
 from sfgs_jax.slam.frontend import Found, TrackInfo, features_in_use, needs_keyframe
 from sfgs_jax.slam.frontend._joint_registration import register
@@ -55,7 +56,8 @@ def revisited(params: TrackerParams, found: Found, graph: KeyframeGraph, config:
     if bool(needs_keyframe(again, params.config)) or not agrees:
         return found
     keyframe = np.asarray(number, np.int32)
-    tracker, info = return_to_keyframe(tracker, info, target, graph.poses[number], keyframe, again)
+    motion = graph.keyframes[number].motion
+    tracker, info = return_to_keyframe(tracker, info, target, motion, graph.poses[number], keyframe, again)
     return found._replace(tracker=tracker, info=info)
 
 
@@ -97,6 +99,7 @@ def return_to_keyframe(
     tracker: Tracker,
     found: TrackInfo,
     features: FrameFeatures,
+    motion: RowMotion,
     pose: Float[Array | np.ndarray, "7"],
     keyframe: Int[Array | np.ndarray, ""],
     again: Registration,
@@ -107,17 +110,16 @@ def return_to_keyframe(
         tracker: after a frame that became a keyframe.
         found: what happened to the frame.
         features: of the keyframe from before, rectified.
+        motion: of its rows.
         pose: its `T_world_cam` as wxyz_xyz.
         keyframe: its number.
         again: registration of the frame to it.
     """
     pose = jnp.asarray(pose)
     T = again.T_target_source
-    # The motion by which the keyframe was rectified is not kept with it.
-    still = jax.tree.map(jnp.zeros_like, tracker.last_motion)
     # One step back in the ring, so that the keyframe takes the place of the frame.
     tracker = eqx.tree_at(lambda t: t.current, tracker, tracker.current - 1)
-    tracker = with_reference(tracker, features, still, pose, jnp.asarray(keyframe))
+    tracker = with_reference(tracker, features, motion, pose, jnp.asarray(keyframe))
     tracker = eqx.tree_at(
         lambda t: (t.num_keyframes, t.T_reference_cam, t.last_registration, t.has_last),
         tracker,

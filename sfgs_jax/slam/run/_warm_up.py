@@ -97,7 +97,8 @@ def _compile_tracking(state: SlamState, frame: Frame, registered: Future[Registr
     again = registered.result()
     needs_keyframe(again, config.tracking)
     features, slot = graph.keyframes[0].features, np.asarray(0, np.int32)
-    return_to_keyframe(found.tracker, found.info, features, graph.poses[0], slot, again)
+    motion = graph.keyframes[0].motion
+    return_to_keyframe(found.tracker, found.info, features, motion, graph.poses[0], slot, again)
 
 
 def _compile_map(state: SlamState, frame: Frame) -> None:
@@ -135,10 +136,11 @@ def _compile_graph(state: SlamState, registered: Future[Registration]) -> None:
 
 def _compile_lost(state: SlamState, registered: Future[Registration]) -> None:
     """Search by the surface, and what follows when a frame is found again."""
-    features, pose = state.graph.keyframes[0].features, state.graph.poses[0]
+    keyframe, pose = state.graph.keyframes[0], state.graph.poses[0]
     # Around the frame before, and around the reference where that frame is the reference.
     for has_last in (True, False):
         tracker = eqx.tree_at(lambda t: t.has_last, state.tracker, jnp.asarray(has_last))
-        search_by_surface(state.params, tracker, features)
-    localised = Localised(0, features, pose, registered.result(), False, True)
-    place(state.params, state.tracker, features, localised)
+        search_by_surface(state.params, tracker, keyframe.features)
+    found = registered.result()
+    localised = Localised(0, keyframe.features, keyframe.motion, pose, found, False, True)
+    place(state.params, state.tracker, keyframe.features, localised)

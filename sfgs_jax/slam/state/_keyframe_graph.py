@@ -5,11 +5,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
 
 from sfgs_jax.arrays import Text, printed_fields, printed_length, pytree
+from sfgs_jax.gicp import RowMotion
+from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.state._depth_information import DepthInformation, no_depth_information
 from sfgs_jax.slam.state._focal_information import FocalInformation
 from sfgs_jax.slam.state._frame_features import FrameFeatures
@@ -46,6 +49,12 @@ class Keyframe:
 
     def __repr__(self) -> str:
         return printed_fields("Keyframe", frame=self.frame, reference=self.reference)
+
+    @property
+    def motion(self) -> RowMotion:
+        """Motion of its rows, by which the features were rectified."""
+        known = np.asarray(self.twist.any() and self.times.any())
+        return RowMotion(jnp.asarray(self.twist), SensorTiming(*self.times), jnp.asarray(known))
 
 
 @pytree
