@@ -126,10 +126,15 @@ def config_of(robustness: Robustness, observability: float = 1.0) -> slam.Tracki
     width, surface_width, correlation, sigma = (
         float(np.float32(np.exp(getattr(robustness, name)))) for name in NAMES
     )
-    gicp = TRACKING.gicp
+    gicp, features = TRACKING.gicp, TRACKING.features
     return replace(
         TRACKING,
-        features=replace(TRACKING.features, kernel_width=width, correlation=correlation),
+        features=replace(
+            features,
+            kernel_width=width,
+            patch_kernel_width=width * features.patch_kernel_width / features.kernel_width,
+            correlation=correlation,
+        ),
         gicp=replace(
             gicp, kernel_width=surface_width, min_observability=observability * gicp.min_observability
         ),

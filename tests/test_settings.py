@@ -29,6 +29,7 @@ NEGATIVE = {
 NOT_ZERO = {
     *("FeaturesConfig.max_keypoints", "FeaturesConfig.max_rigid_matches", "FeaturesConfig.kernel_width"),
     *("FeaturesConfig.pixel_sigma", "FeaturesConfig.max_distance", "FeaturesConfig.inlier_pixels"),
+    *("FeaturesConfig.patch_sigma", "FeaturesConfig.patch_kernel_width"),
     *("TrackingConfig.num_references", "TrackingConfig.motion_model_sigma", "TrackingConfig.delay_sigma"),
     *("GicpConfig.levels", "GicpConfig.radius", "GicpConfig.strides"),
     *("GicpConfig.noise", "GicpConfig.kernel_width", "GicpConfig.max_distance", "GicpConfig.epsilon"),

@@ -194,6 +194,29 @@ def test_inliers_that_another_motion_explains_are_counted(rng, look, params):
     assert explained(se3.identity()) == 0  # five pixels away
 
 
+def test_places_by_patches_weigh_by_their_own_noise(rng, look, tracking):
+    """By that of the detector's places a quarter would be known along the wall."""
+    image = texture(rng)
+    source, target = look(wall(image, SHIFT)), look(wall(image, (0, 0, 0)))
+    detected = replace(tracking.features, patch_sigma=1.0, patch_kernel_width=3.0)
+    settings = tracking.features, detected, replace(detected, align_patches=False)
+    by_patches, as_detected, unaligned = (
+        motion_from_keypoints(
+            source, target, se3.identity(), tracker_params(CAMERA, replace(tracking, features=features))
+        )
+        for features in settings
+    )
+    along = [np.diag(found.information)[:2] for found in (by_patches, as_detected)]
+    np.testing.assert_allclose(along[0], along[1] / tracking.features.patch_sigma**2, rtol=0.1)
+    off = se3.log(
+        se3.compose(se3.inverse(se3.exp(jnp.asarray([*SHIFT, 0, 0, 0]))), by_patches.T_target_source)
+    )
+    assert np.asarray(off) @ np.asarray(by_patches.information) @ np.asarray(off) < 12.6
+    # The motion that the patches are laid over each other by is that of the detector's places.
+    for found in (by_patches, as_detected):
+        np.testing.assert_array_equal(found.T_as_detected.wxyz_xyz, unaligned.T_target_source.wxyz_xyz)
+
+
 def test_along_a_bare_wall_the_guess_stays_and_is_named(rng, look, params):
     image = texture(rng)
     source, target = look(wall(image, SHIFT, bare=True)), look(wall(image, (0, 0, 0.05), bare=True))

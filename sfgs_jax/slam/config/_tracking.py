@@ -50,11 +50,17 @@ class FeaturesConfig:
     patch_steps: int = 6
     """Steps to these places. The last two say whether there is one."""
     pixel_sigma: float = 1.0
-    """Standard deviation of a keypoint's position, pixels."""
+    """Standard deviation of a keypoint's position as detected, pixels."""
+    patch_sigma: float = 0.5
+    """Standard deviation of a match's position by `align_patches`, pixels."""
+    patch_kernel_width: float = 4.5
+    """Width of the Geman-McClure kernel of a match by `align_patches`, standard deviations. Views that have
+    changed much need a wide one."""
     inverse_depth_sigma: float = 0.003
     """Standard deviation of a keypoint's inverse depth, 1/m."""
     kernel_width: float = 3.0
-    """Width of a match's Geman-McClure kernel, standard deviations."""
+    """Width of the Geman-McClure kernel of a match as detected, and of a landmark in a keyframe, standard
+    deviations."""
     max_iterations: int = 30
     """Most steps to the motion with the least reprojection error; mostly ten are enough."""
     tolerance: float = 1e-5
@@ -92,11 +98,17 @@ class FeaturesConfig:
         check_range(self, 0, 1, "min_similarity", "min_contrast", "min_inlier_share", "min_patch_agreement")
         check_range(self, 0, 1, "min_inlier_share_alone", "min_inlier_share_sure")
         check_positive(
-            self, "depth_tolerance", "max_distance", "pixel_sigma", "inverse_depth_sigma", "tolerance"
+            self, "depth_tolerance", "max_distance", "pixel_sigma", "patch_sigma", "inverse_depth_sigma"
         )
+        check_positive(self, "patch_kernel_width", "tolerance")
         check_positive(
             self, "guidance_reach", "kernel_width", "inlier_pixels", "inlier_depth_sigmas", "correlation"
         )
+
+    @property
+    def matched_kernel_width(self) -> float:
+        """Width of the kernel of a match whose place is known as well as it will be."""
+        return self.patch_kernel_width if self.align_patches else self.kernel_width
 
 
 @dataclass(frozen=True)

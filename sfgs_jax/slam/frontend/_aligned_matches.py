@@ -57,7 +57,12 @@ def with_aligned_places(
     else:
         shift, agreement = aligned_again((found - rows.pixels).T / factor, pairs)
     agree = agreement >= params.config.features.min_patch_agreement
-    return rows._replace(pixels=rows.pixels + factor * shift.T, valid=rows.valid & agree)
+    return rows._replace(
+        pixels=rows.pixels + factor * shift.T,
+        valid=rows.valid & agree,
+        sigma=params.noise.pixels,
+        width=params.config.features.matched_kernel_width,
+    )
 
 
 def _warps(

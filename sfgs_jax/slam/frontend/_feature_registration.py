@@ -193,7 +193,8 @@ def _matched(
     seen, valid = keypoints_in_time(source, params, sweep, guess), measured[slots]
     weights = _weights(seen, target.keypoints, alike[slots], valid, config)
     pixels = seen.features.keypoints
-    rows = MatchedRows(target.keypoints.points, pixels, seen.depth, valid, sweep, weights)
+    points, noise = target.keypoints.points, params.noise.detected
+    rows = MatchedRows(points, pixels, seen.depth, valid, noise, config.kernel_width, sweep, weights)
     return _Matched(matches.index_b, slots, source, target, alike[slots], rows)
 
 
@@ -206,10 +207,10 @@ def num_explained(
     sweep: gicp.Sweep | None = None,
 ) -> Int[Array, ""]:
     """Inliers that another motion explains too, counted."""
-    points = target.points[matched.index]
-    rows = MatchedRows(points, matched.pixels, source.depth, matched.inliers, sweep)
-    pixels = params.config.features.inlier_pixels
-    return jnp.sum(_explained(T_target_source, rows, params, pixels), dtype=jnp.int32)
+    config, points = params.config.features, target.points[matched.index]
+    sigma, width = params.noise.pixels, config.matched_kernel_width
+    rows = MatchedRows(points, matched.pixels, source.depth, matched.inliers, sigma, width, sweep)
+    return jnp.sum(_explained(T_target_source, rows, params, config.inlier_pixels), dtype=jnp.int32)
 
 
 def _guess_or_rigid_motion(guess: jaxlie.SE3, matched: _Matched, params: TrackerParams) -> jaxlie.SE3:
@@ -283,7 +284,7 @@ def _explained(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams, pixels: 
     at = row_residuals(T, rows, params)
     error = jnp.sum(at.residual[:2] ** 2, axis=0)
     near = jnp.abs(at.residual[2]) < params.config.features.inlier_depth_sigmas
-    return at.has_image & near & (error < (pixels / params.noise.pixels) ** 2)
+    return at.has_image & near & (error < (pixels / rows.sigma) ** 2)
 
 
 def _shares(rows: MatchedRows, camera: Camera) -> Float[Array, " k"]:

@@ -58,14 +58,16 @@ def tracker_params(
 
 
 def _noise(config: TrackingConfig) -> TrackingNoise:
-    pixels, inverse_depth, metres, per_square_metre = (
+    features = config.features
+    detected, pixels, inverse_depth, metres, per_square_metre = (
         jnp.asarray(x, jnp.float32)
         for x in (
-            *(config.features.pixel_sigma, config.features.inverse_depth_sigma),
+            *(features.pixel_sigma, features.patch_sigma if features.align_patches else features.pixel_sigma),
+            features.inverse_depth_sigma,
             *(config.gicp.noise, config.gicp.noise_per_square_metre),
         )
     )
-    return TrackingNoise(pixels, inverse_depth, gicp.DistanceNoise(metres, per_square_metre))
+    return TrackingNoise(detected, pixels, inverse_depth, gicp.DistanceNoise(metres, per_square_metre))
 
 
 @checked

@@ -25,12 +25,18 @@ _LEAST = 1e-3
 
 
 class MatchedRows(NamedTuple):
-    """Matched keypoints: the target's points, what the source saw of them, and weights, None if equal."""
+    """Matched keypoints: the target's points, what the source saw of them, and weights, None if equal.
+
+    The pixels have the standard deviation `sigma`, and the matches a Geman-McClure kernel of `width` standard
+    deviations.
+    """
 
     points: Float[Array, "k 3"]
     pixels: Float[Array, "k 2"]
     depth: Float[Array, " k"]
     valid: Bool[Array, " k"]
+    sigma: Float[Array, ""]
+    width: float
     sweep: gicp.Sweep | None
     weights: Float[Array, " k"] | None = None
 
@@ -55,7 +61,7 @@ def row_residuals(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams) -> Re
         points,
         rows.pixels.T,
         rows.depth,
-        sigma=params.noise.pixels,
+        sigma=rows.sigma,
         inverse_depth_sigma=params.noise.inverse_depth,
     )
 
@@ -89,7 +95,7 @@ def _equations(T: jaxlie.SE3, rows: MatchedRows, params: TrackerParams) -> _Equa
     points = jnp.where(rows.valid[:, None], rows.points, 0)
     at = with_target_noise(at, target_noise(T, points, at, params.noise.inverse_depth))
     residual, jacobian = at.residual, at.pose_jacobian
-    square, width = jnp.sum(residual**2, axis=0), params.config.features.kernel_width
+    square, width = jnp.sum(residual**2, axis=0), rows.width
     weight = jnp.where(at.has_image, kernel_weight(square, "geman_mcclure", width), 0)
     weight = weight if rows.weights is None else weight * rows.weights
     rows_of = jnp.moveaxis(jacobian, 1, 0).reshape(6, -1)

@@ -179,7 +179,7 @@ def _weights(
     at: ReprojectionResiduals, matched: FeatureRegistration, config: FeaturesConfig
 ) -> Float[Array, " K"]:
     square = jnp.sum(at.residual**2, axis=0)
-    robust = kernel_weight(square, "geman_mcclure", config.kernel_width)
+    robust = kernel_weight(square, "geman_mcclure", config.matched_kernel_width)
     weight = jnp.where(matched.inliers & at.has_image, robust, 0)
     excess = jnp.sum(weight * square) / jnp.maximum(3 * jnp.sum(weight), 1)
     return weight / (config.correlation * jnp.maximum(excess, 1))

@@ -274,7 +274,7 @@ def _observations(
         np.pad(pixels, ((0, padding), (0, 0))),
         np.pad(depth, (0, padding)),
         params.camera,
-        sigma=features.pixel_sigma * correlation,
+        sigma=float(params.noise.pixels) * correlation,
         inverse_depth_sigma=features.inverse_depth_sigma * correlation,
         valid=np.arange(room) < len(order),
         kernel="geman_mcclure",

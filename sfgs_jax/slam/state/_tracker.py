@@ -27,11 +27,13 @@ class TrackingNoise(eqx.Module):
     """Standard deviations of what a registration measures. Its settings have them at the beginning.
 
     Attributes:
-        pixels: of a keypoint's place along each axis, pixels.
+        detected: of a keypoint's place along each axis, as detected, pixels.
+        pixels: of a match's place, by its patch if these are aligned.
         inverse_depth: of depth measured at a keypoint, 1/m.
         surface: of the distances between two surfaces.
     """
 
+    detected: Float[Array, ""]
     pixels: Float[Array, ""]
     inverse_depth: Float[Array, ""]
     surface: DistanceNoise
