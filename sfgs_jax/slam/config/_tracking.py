@@ -106,6 +106,11 @@ class FeaturesConfig:
         )
 
     @property
+    def matched_sigma(self) -> float:
+        """Standard deviation of a match's position, pixels, once it is known as well as it will be."""
+        return self.patch_sigma if self.align_patches else self.pixel_sigma
+
+    @property
     def matched_kernel_width(self) -> float:
         """Width of the kernel of a match whose place is known as well as it will be."""
         return self.patch_kernel_width if self.align_patches else self.kernel_width

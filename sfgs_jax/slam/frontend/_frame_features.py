@@ -62,8 +62,7 @@ def _noise(config: TrackingConfig) -> TrackingNoise:
     detected, pixels, inverse_depth, metres, per_square_metre = (
         jnp.asarray(x, jnp.float32)
         for x in (
-            *(features.pixel_sigma, features.patch_sigma if features.align_patches else features.pixel_sigma),
-            features.inverse_depth_sigma,
+            *(features.pixel_sigma, features.matched_sigma, features.inverse_depth_sigma),
             *(config.gicp.noise, config.gicp.noise_per_square_metre),
         )
     )
