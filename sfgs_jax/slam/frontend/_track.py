@@ -36,6 +36,9 @@ from sfgs_jax.superfeats import Features
 
 _BY_LAST = 2
 """Number of the first attempt that registers to the last frame instead of the reference."""
+_STALE = 1e-3
+"""Change of the times of the rows, seconds, from which on a reference is rectified anew. In a millisecond a
+camera that turns by a radian a second moves its image by half a pixel."""
 _MISSING = 1.5
 """Time since the last frame, in times between two frames, above which a frame between is missing."""
 
@@ -174,7 +177,9 @@ def settle(
         new_keyframe=new_keyframe,
         features=seen,
     )
-    tracker = _push_if(new_keyframe, params, tracker, seen, motion, info.T_world_cam)
+    tracker = _with_rows_in_time(params, tracker, new_keyframe, seen, motion, info.T_world_cam)
+    if params.config.estimate_timing:
+        motion = replace(motion, timing=estimated_timing(params, tracker)[0])
     return _remembered(tracker, seen, motion, found, tracked, could_be_keyframe & ~new_keyframe), info
 
 
@@ -489,6 +494,45 @@ def _push_if(
         )
 
     return lax.cond(condition, push, lambda t: t, tracker)
+
+
+def _with_rows_in_time(
+    params: TrackerParams,
+    tracker: Tracker,
+    new_keyframe: Bool[Array, ""],
+    seen: FrameFeatures,
+    motion: gicp.RowMotion,
+    T_world_cam: jaxlie.SE3,
+) -> Tracker:
+    """The tracker with its reference, a new keyframe or the one before, rectified by the newest times.
+
+    The next frame's rows are moved by these. In a reference that was rectified by others, a frame of a camera
+    that turns would be off by the motion in the difference, from frame to frame more.
+    """
+    if not params.config.estimate_timing:
+        return _push_if(new_keyframe, params, tracker, seen, motion, T_world_cam)
+    as_read = replace(motion, timing=jax.tree.map(jnp.zeros_like, motion.timing))
+    by = jax.tree.map(lambda ring: ring[tracker.current], tracker.reference_motions)
+    by = jax.tree.map(partial(jnp.where, new_keyframe), as_read, by)
+    timing = estimated_timing(params, tracker)[0]
+    change = timing.vector - by.timing.vector
+    stale = by.known & jnp.any(abs(change) > _STALE)
+
+    def renewed(tracker: Tracker) -> Tracker:
+        new = (seen, T_world_cam.wxyz_xyz, tracker.num_keyframes, se3.identity(change.dtype).wxyz_xyz)
+        slot = tracker.current
+        poses, numbers = tracker.reference_poses, tracker.reference_keyframes
+        old = (reference_at(tracker, slot), poses[slot], numbers[slot], tracker.T_reference_cam.wxyz_xyz)
+        read, pose, number, T = jax.tree.map(partial(jnp.where, new_keyframe), new, old)
+        kept = rectified(read, params.camera, replace(by, timing=SensorTiming.of_vector(change)))
+        # From one step back in the ring, the reference takes its own place.
+        count = new_keyframe.astype(slot.dtype)
+        tracker = eqx.tree_at(lambda t: t.current, tracker, slot + count - 1)
+        tracker = with_reference(tracker, kept, replace(by, timing=timing), pose, number)
+        after = tracker.num_keyframes + count, jaxlie.SE3(T)
+        return eqx.tree_at(lambda t: (t.num_keyframes, t.T_reference_cam), tracker, after)
+
+    return lax.cond(new_keyframe | stale, renewed, lambda t: t, tracker)
 
 
 def _remembered(
