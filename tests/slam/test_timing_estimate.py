@@ -16,6 +16,7 @@ from sfgs_jax.geometry import Trajectory, se3
 from sfgs_jax.gicp import RowMotion
 from sfgs_jax.sensors import SensorModel, SensorTiming
 from sfgs_jax.slam.frontend import Localised, place
+from sfgs_jax.slam.state import Reference
 from sfgs_jax.superfeats import mean_grey
 
 FAULTS = KinectFaults(depth_delay=0.012, colour_readout=0.03, depth_readout=0.025)
@@ -134,8 +135,9 @@ def test_frames_move_their_rows_where_those_of_the_keyframe_were_moved_that_they
     params, tracker, last = tracked["first"][:3]
     twist = np.full(6, 0.1, np.float32)
     motion = RowMotion(*jax.device_put((twist, params.timing, np.asarray(known))))
-    keyframe, pose = int(last.reference), np.asarray(last.T_world_cam.wxyz_xyz)
-    found = Localised(keyframe, last.features, motion, pose, last.registration, False, True)
+    pose, keyframe = np.asarray(last.T_world_cam.wxyz_xyz), np.asarray(last.reference)
+    reference = Reference(last.features, motion, pose, keyframe)
+    found = Localised(reference, last.registration, bridged=False, relocalised=True)
     after, _ = place(params, tracker, last.features, found)
     kept = jax.tree.map(lambda ring: np.asarray(ring)[after.current], after.reference_motions)
     assert bool(kept.known) == known

@@ -37,6 +37,7 @@ from sfgs_jax.slam.frontend._pose_source import supports_edge as supports_edge
 from sfgs_jax.slam.frontend._pose_source import supports_loop as supports_loop
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation as supports_relocalisation
 from sfgs_jax.slam.frontend._pose_source import surface_agrees as surface_agrees
+from sfgs_jax.slam.frontend._recorrection import as_reference as as_reference
 from sfgs_jax.slam.frontend._recorrection import depth_parameters_in_use as depth_parameters_in_use
 from sfgs_jax.slam.frontend._recorrection import features_in_use as features_in_use
 from sfgs_jax.slam.frontend._recorrection import params_of as params_of

@@ -15,23 +15,23 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from sfgs_jax.geometry import Frame, se3
-from sfgs_jax.gicp import RowMotion
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.frontend._frame_features import host_keypoints
 from sfgs_jax.slam.frontend._image_signature import most_similar
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._new_map import begin_map, frames_until_new_map, with_unknown_place
 from sfgs_jax.slam.frontend._pose_source import supports_relocalisation
-from sfgs_jax.slam.frontend._recorrection import features_in_use
+from sfgs_jax.slam.frontend._recorrection import as_reference
 from sfgs_jax.slam.frontend._suspicion import NO_SUSPICION, is_reachable, strengthened, undisputed
-from sfgs_jax.slam.frontend._track import TrackInfo, allowed_sources, rectified_last, settle, track
+from sfgs_jax.slam.frontend._track import TrackInfo, allowed_sources, last_as_reference, settle, track
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 from sfgs_jax.slam.state._tracker import (
+    Reference,
     Suspicion,
     Tracker,
     TrackerParams,
@@ -48,19 +48,13 @@ class Localised(NamedTuple):
     """A frame that `track` had lost, found again.
 
     Attributes:
-        keyframe: number of the keyframe that it was registered to.
-        features: of that keyframe.
-        motion: of its rows, by which the features were rectified.
-        pose: its `T_world_cam` as wxyz_xyz.
+        reference: the keyframe that it was registered to.
         registration: the registration.
         bridged: whether that keyframe is the frame before, still to be inserted.
         relocalised: whether the frame was found by its looks rather than near its last pose.
     """
 
-    keyframe: int
-    features: FrameFeatures
-    motion: RowMotion
-    pose: Float[Array | np.ndarray, "7"]
+    reference: Reference
     registration: Registration
     bridged: bool
     relocalised: bool
@@ -164,7 +158,7 @@ def relocalise(
         return None, NO_SUSPICION
     signature = np.asarray(features.keypoints.signature)
     alike, _ = most_similar(graph.signatures, signature, config.relocalisation_candidates)
-    begun = int(tracker.reference_keyframes[tracker.current]) >= 0
+    begun = np.asarray(tracker.reference_keyframes)[np.asarray(tracker.current)] >= 0
     last = np.asarray(tracker.T_world_cam.wxyz_xyz) if begun else None
     # Many matches and much alike images stand for a guess.
     allowed = allowed_sources(tracker, params.config)._replace(near_guess=np.asarray(True))
@@ -173,12 +167,11 @@ def relocalise(
     poses: list[Float[np.ndarray, "7"]] = []
     T = se3.matrices_of(graph.poses)
     for number in map(int, alike):
-        target = features_in_use(params, graph.keyframes[number])
-        registration = register(params, features, target, se3.identity(), allowed, guess_known=False)
+        target = as_reference(params, graph, number)
+        registration = register(params, features, target.features, se3.identity(), allowed, guess_known=False)
         if not supports_relocalisation(registration, config):
             continue
-        motion, pose = graph.keyframes[number].motion, graph.poses[number]
-        found.append(Localised(number, target, motion, pose, registration, False, True))
+        found.append(Localised(target, registration, bridged=False, relocalised=True))
         T_keyframe_cam = se3.matrices_of(np.asarray(registration.T_target_source.wxyz_xyz)[None])[0]
         poses.append(se3.parameters_of((T[number] @ T_keyframe_cam)[None])[0])
         if last is not None and is_reachable(poses[-1], last, since, config):
@@ -205,22 +198,19 @@ def search_by_surface(params: TrackerParams, tracker: Tracker, features: FrameFe
     if not config.use_surface or not bool(allowed.surface):
         return None
     bridged = bool(tracker.has_last)
-    target = rectified_last(params, tracker) if bridged else reference_at(tracker, tracker.current)
-    pose = tracker.T_world_cam.wxyz_xyz if bridged else tracker.reference_poses[tracker.current]
-    keyframe = tracker.num_keyframes if bridged else tracker.reference_keyframes[tracker.current]
-    ring, current = tracker.reference_motions, tracker.current
-    motion = tracker.last_motion if bridged else jax.tree.map(lambda x: x[current], ring)
+    target = last_as_reference(params, tracker) if bridged else reference_at(tracker, tracker.current)
     # It is not near any of these guesses, but in reach of them.
     allowed = allowed._replace(near_guess=np.asarray(False))
     for turn in config.search_angle * _TURNS:
         start = se3.exp(turn) if bridged else se3.compose(tracker.T_reference_cam, se3.exp(turn))
-        found = register(params, features, target, start, allowed)
+        found = register(params, features, target.features, start, allowed)
         # Nothing confirms the guess where the surface leaves a direction free.
         if int(found.source) not in (PoseSource.LOST, PoseSource.MOTION_MODEL):
-            return Localised(int(keyframe), target, motion, pose, found, bridged, False)
+            return Localised(target, found, bridged, relocalised=False)
     return None
 
 
+@jax.jit
 def place(
     params: TrackerParams, tracker: Tracker, features: FrameFeatures, found: Localised
 ) -> tuple[Tracker, TrackInfo]:
@@ -232,40 +222,17 @@ def place(
         features: of the frame.
         found: where it was found.
     """
-    keyframe, relocalised = np.asarray(found.keyframe, np.int32), np.asarray(found.relocalised)
-    bridged = np.asarray(found.bridged)
-    return _place(
+    before, registration = tracker.T_world_cam, found.registration
+    tracker = with_reference(tracker, found.reference)
+    count = jnp.maximum(tracker.num_keyframes, found.reference.keyframe + 1)
+    tracker = eqx.tree_at(lambda t: t.num_keyframes, tracker, count)
+    tracker, info = settle(
         params,
         tracker,
         features,
-        found.features,
-        found.motion,
-        found.pose,
-        keyframe,
-        found.registration,
-        relocalised,
-        bridged,
+        registration,
+        before=before,
+        source=registration.source,
+        relocalised=found.relocalised,
     )
-
-
-@jax.jit
-def _place(
-    params: TrackerParams,
-    tracker: Tracker,
-    features: FrameFeatures,
-    reference: FrameFeatures,
-    motion: RowMotion,
-    pose: Array,
-    keyframe: Array,
-    found: Registration,
-    relocalised: Array,
-    bridged: Array,
-) -> tuple[Tracker, TrackInfo]:
-    before = tracker.T_world_cam
-    tracker = with_reference(tracker, reference, motion, jnp.asarray(pose), keyframe)
-    count = jnp.maximum(tracker.num_keyframes, keyframe + 1)
-    tracker = eqx.tree_at(lambda t: t.num_keyframes, tracker, count)
-    tracker, info = settle(
-        params, tracker, features, found, before=before, source=found.source, relocalised=relocalised
-    )
-    return tracker, eqx.tree_at(lambda i: i.bridged, info, bridged)
+    return tracker, eqx.tree_at(lambda i: i.bridged, info, jnp.asarray(found.bridged))

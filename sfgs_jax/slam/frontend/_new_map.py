@@ -47,7 +47,7 @@ def frames_until_new_map(tracker: Tracker, graph: KeyframeGraph, config: GraphCo
         graph: with at least one keyframe.
         config: settings.
     """
-    reference = int(tracker.reference_keyframes[tracker.current])
+    reference = int(np.asarray(tracker.reference_keyframes)[np.asarray(tracker.current)])
     if reference < 0:
         return config.new_map_frames
     maps = maps_of(graph)

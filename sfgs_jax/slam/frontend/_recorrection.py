@@ -13,8 +13,8 @@ from sfgs_jax.geometry import Camera
 from sfgs_jax.sensors import DepthCorrection, carried, corrected_depth, depth_slopes, turned
 from sfgs_jax.slam.frontend._rectification import on_pixels, origins
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
-from sfgs_jax.slam.state._keyframe_graph import Keyframe
-from sfgs_jax.slam.state._tracker import Tracker, TrackerParams
+from sfgs_jax.slam.state._keyframe_graph import Keyframe, KeyframeGraph
+from sfgs_jax.slam.state._tracker import Reference, Tracker, TrackerParams
 
 
 def depth_parameters_in_use(params: TrackerParams) -> Float[np.ndarray, " G"]:
@@ -52,6 +52,19 @@ def features_in_use(params: TrackerParams, keyframe: Keyframe) -> FrameFeatures:
         if change.any()
         else keyframe.features
     )
+
+
+def as_reference(params: TrackerParams, graph: KeyframeGraph, number: int) -> Reference:
+    """A keyframe for new frames to be registered to, with their correction of depth.
+
+    Args:
+        params: parameters of tracking.
+        graph: that holds it.
+        number: of the keyframe.
+    """
+    keyframe = graph.keyframes[number]
+    features = features_in_use(params, keyframe)
+    return Reference(features, keyframe.motion, graph.poses[number], np.asarray(number, np.int32))
 
 
 def _change(params: TrackerParams, keyframe: Keyframe) -> Float[np.ndarray, " G"]:

@@ -26,6 +26,7 @@ from sfgs_jax.slam.frontend._timing_estimate import timing_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import PoseSource, Registration
 from sfgs_jax.slam.state._tracker import (
+    Reference,
     Tracker,
     TrackerParams,
     empty_tracker,
@@ -121,7 +122,7 @@ def track(
     source = jnp.where(is_first, begun, found.source)
     bridged = (source != PoseSource.LOST) & (attempt >= _BY_LAST) & ~is_first
     before = tracker.T_world_cam
-    tracker = _push_if(bridged, params, tracker, tracker.last, tracker.last_motion, before)
+    tracker = lax.cond(bridged, lambda t: _pushed(t, last_as_reference(params, t)), lambda t: t, tracker)
     tracker, info = settle(params, tracker, seen, found, before=before, source=source)
     return tracker, eqx.tree_at(lambda i: i.bridged, info, bridged)
 
@@ -257,25 +258,24 @@ def _register_at(inputs: _Inputs, attempt: Int[Array, ""], found: Registration |
     by_last = attempt >= _BY_LAST
     target = lax.cond(
         by_last,
-        lambda: rectified_last(params, tracker),
+        lambda: last_as_reference(params, tracker),
         lambda: reference_at(tracker, tracker.current),
     )
     guess = jaxlie.SE3(_starts(tracker)[attempt])
     identity = se3.identity(guess.wxyz_xyz.dtype).wxyz_xyz
     before = jaxlie.SE3(jnp.where(by_last, identity, tracker.T_reference_cam.wxyz_xyz))
     # Two frames of a steady motion whose rows both lie where they were read fit as they are.
-    rectified = jnp.where(
-        by_last, tracker.last_motion.known, tracker.reference_motions.known[tracker.current]
-    )
-    sweep = _sweep(params, tracker, before, rectified)
+    sweep = _sweep(params, tracker, before, target.motion.known)
     # Where the motion model has failed, it does not say where keypoints should lie either. With a wrong guess
     # those are preferred that make another tile look like the right one.
     guess_known = attempt % 2 == 0
     allowed = allowed_sources(tracker, params.config)
     allowed = allowed._replace(near_guess=allowed.near_guess & guess_known)
     if found is not None:
-        return found_again(params, seen, target, guess, allowed, sweep, found, guess_known=guess_known)
-    found = register(params, seen, target, guess, allowed, sweep, guess_known=guess_known)
+        return found_again(
+            params, seen, target.features, guess, allowed, sweep, found, guess_known=guess_known
+        )
+    found = register(params, seen, target.features, guess, allowed, sweep, guess_known=guess_known)
     predicted = jaxlie.SE3(_starts(tracker)[jnp.where(by_last, _BY_LAST, 0)])
     return _plausible(found, predicted, tracker, params.config)
 
@@ -346,9 +346,7 @@ def _with_timing(
     """The tracker with what a frame's registration to its reference says about the times of the rows."""
     if not params.config.estimate_timing:
         return tracker
-    target, by = jax.tree.map(
-        lambda ring: ring[tracker.current], (tracker.references, tracker.reference_motions)
-    )
+    target, by, *_ = reference_at(tracker, tracker.current)
     # A pose that rests on the motion model says how the camera was thought to move.
     told = tracked & motion.known & by.known & (found.source != PoseSource.MOTION_MODEL)
     new = timing_equations(*lax.stop_gradient((params, seen, target, found, motion, by)))
@@ -358,18 +356,17 @@ def _with_timing(
 
 
 @jax.jit
-def rectified_last(params: TrackerParams, tracker: Tracker) -> FrameFeatures:
-    """Features of the last frame, rectified for others to be registered to.
+def last_as_reference(params: TrackerParams, tracker: Tracker) -> Reference:
+    """The last frame, rectified for others to be registered to, as the keyframe that it would be.
 
     Args:
         params: parameters of tracking.
         tracker: after that frame.
     """
-    return _rectified(params, tracker.last, tracker.last_motion)
-
-
-def _rectified(params: TrackerParams, features: FrameFeatures, motion: gicp.RowMotion) -> FrameFeatures:
-    return rectified(features, params.camera, motion) if params.config.estimate_timing else features
+    features, motion = tracker.last, tracker.last_motion
+    if params.config.estimate_timing:
+        features = rectified(features, params.camera, motion)
+    return Reference(features, motion, tracker.T_world_cam.wxyz_xyz, tracker.num_keyframes)
 
 
 @eqx.filter_custom_jvp
@@ -473,27 +470,10 @@ def _counted(total: Array, more: Array | int, by_model: Bool[Array, ""], tracked
     return jnp.where(by_model, total + more, jnp.where(tracked, 0, total))
 
 
-def _push_if(
-    condition: Bool[Array, ""],
-    params: TrackerParams,
-    tracker: Tracker,
-    features: FrameFeatures,
-    motion: gicp.RowMotion,
-    T_world_cam: jaxlie.SE3,
-) -> Tracker:
-    """The tracker with a new keyframe as its reference, rectified, where the condition holds."""
-
-    def push(tracker: Tracker) -> Tracker:
-        kept = _rectified(params, features, motion)
-        pushed = with_reference(tracker, kept, motion, T_world_cam.wxyz_xyz, tracker.num_keyframes)
-        identity = se3.identity(T_world_cam.wxyz_xyz.dtype)
-        return eqx.tree_at(
-            lambda t: (t.num_keyframes, t.T_reference_cam),
-            pushed,
-            (tracker.num_keyframes + 1, identity),
-        )
-
-    return lax.cond(condition, push, lambda t: t, tracker)
+def _pushed(tracker: Tracker, new: Reference) -> Tracker:
+    """The tracker with the newest frame as a new keyframe, and as its reference."""
+    after, count = with_reference(tracker, new), tracker.num_keyframes + 1
+    return replace(after, num_keyframes=count, T_reference_cam=se3.identity(new.pose.dtype))
 
 
 def _with_rows_in_time(
@@ -509,28 +489,25 @@ def _with_rows_in_time(
     The next frame's rows are moved by these. In a reference that was rectified by others, a frame of a camera
     that turns would be off by the motion in the difference, from frame to frame more.
     """
+    new = Reference(seen, motion, T_world_cam.wxyz_xyz, tracker.num_keyframes)
     if not params.config.estimate_timing:
-        return _push_if(new_keyframe, params, tracker, seen, motion, T_world_cam)
+        return lax.cond(new_keyframe, lambda t: _pushed(t, new), lambda t: t, tracker)
     as_read = replace(motion, timing=jax.tree.map(jnp.zeros_like, motion.timing))
-    by = jax.tree.map(lambda ring: ring[tracker.current], tracker.reference_motions)
-    by = jax.tree.map(partial(jnp.where, new_keyframe), as_read, by)
-    timing = estimated_timing(params, tracker)[0]
+    choose = partial(jax.tree.map, partial(jnp.where, new_keyframe))
+    by = choose(as_read, reference_at(tracker, tracker.current).motion)
+    timing, _ = estimated_timing(params, tracker)
     change = timing.vector - by.timing.vector
     stale = by.known & jnp.any(abs(change) > _STALE)
 
     def renewed(tracker: Tracker) -> Tracker:
-        new = (seen, T_world_cam.wxyz_xyz, tracker.num_keyframes, se3.identity(change.dtype).wxyz_xyz)
-        slot = tracker.current
-        poses, numbers = tracker.reference_poses, tracker.reference_keyframes
-        old = (reference_at(tracker, slot), poses[slot], numbers[slot], tracker.T_reference_cam.wxyz_xyz)
-        read, pose, number, T = jax.tree.map(partial(jnp.where, new_keyframe), new, old)
-        kept = rectified(read, params.camera, replace(by, timing=SensorTiming.of_vector(change)))
-        # From one step back in the ring, the reference takes its own place.
-        count = new_keyframe.astype(slot.dtype)
-        tracker = eqx.tree_at(lambda t: t.current, tracker, slot + count - 1)
-        tracker = with_reference(tracker, kept, replace(by, timing=timing), pose, number)
-        after = tracker.num_keyframes + count, jaxlie.SE3(T)
-        return eqx.tree_at(lambda t: (t.num_keyframes, t.T_reference_cam), tracker, after)
+        read = choose(new, reference_at(tracker, tracker.current))
+        kept = rectified(read.features, params.camera, replace(by, timing=SensorTiming.of_vector(change)))
+        read = read._replace(features=kept, motion=replace(by, timing=timing))
+        # From one step back in the ring, a reference takes its own place.
+        count = new_keyframe.astype(tracker.current.dtype)
+        after = with_reference(replace(tracker, current=tracker.current + count - 1), read)
+        T = choose(se3.identity(change.dtype), tracker.T_reference_cam)
+        return replace(after, num_keyframes=tracker.num_keyframes + count, T_reference_cam=T)
 
     return lax.cond(new_keyframe | stale, renewed, lambda t: t, tracker)
 

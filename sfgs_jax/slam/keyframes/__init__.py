@@ -22,7 +22,7 @@ from sfgs_jax.slam.keyframes._edges import prior_noise as prior_noise
 from sfgs_jax.slam.keyframes._edges import relative_poses as relative_poses
 from sfgs_jax.slam.keyframes._focal_lengths import focal_lengths_by as focal_lengths_by
 from sfgs_jax.slam.keyframes._graph_step import advance_graph as advance_graph
-from sfgs_jax.slam.keyframes._insertion import Reference as Reference
+from sfgs_jax.slam.keyframes._insertion import NewKeyframe as NewKeyframe
 from sfgs_jax.slam.keyframes._insertion import first_keyframe as first_keyframe
 from sfgs_jax.slam.keyframes._insertion import insert_keyframe as insert_keyframe
 from sfgs_jax.slam.keyframes._insertion import neighbours as neighbours

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import jaxlie
 import numpy as np
 from jaxtyping import Bool, Float
@@ -47,18 +46,18 @@ def with_new_keyframes(
     after, info = found.tracker, found.info
     taken, bridged = bool(info.new_keyframe), bool(info.bridged)
     if found.begins_map or not graph.keyframes:
-        return first_keyframe(params, graph, _reference(after, 0, frames[1]), info.T_world_cam, config)
+        return first_keyframe(params, graph, _from_ring(after, 0, frames[1]), info.T_world_cam, config)
     if graph.keyframes[-1].frame == frames[0]:
         graph = with_first_motion(graph, np.asarray(after.last_motion.twist))
         graph = _in_its_motion(params, graph, after)
     if bridged:
-        reference = int(before.reference_keyframes[before.current])
+        reference = int(np.asarray(before.reference_keyframes)[np.asarray(before.current)])
         # The frame's own keyframe came after it.
-        new = _reference(after, int(taken), frames[0])
+        new = _from_ring(after, int(taken), frames[0])
         graph = insert_keyframe(params, graph, new, before.last_registration, reference, config)
         graph = _in_its_motion(params, graph, after)
     if taken:
-        new, reference = _reference(after, 0, frames[1]), int(info.reference)
+        new, reference = _from_ring(after, 0, frames[1]), int(info.reference)
         graph = insert_keyframe(params, graph, new, info.registration, reference, config)
     if (taken or bridged) and params.config.estimate_timing:
         _, covariance = estimated_timing(params, after)
@@ -76,8 +75,8 @@ def _in_its_motion(params: TrackerParams, graph: KeyframeGraph, after: Tracker) 
     return with_motion_to_next(params, graph, np.asarray(motion.twist), float(after.motion_seconds))
 
 
-class Reference(NamedTuple):
-    """A frame that others are tracked in.
+class NewKeyframe(NamedTuple):
+    """A frame that becomes a keyframe.
 
     Attributes:
         features: of the frame, rectified.
@@ -92,16 +91,19 @@ class Reference(NamedTuple):
     frame: int
 
 
-def _reference(tracker: Tracker, back: int, frame: int) -> Reference:
-    """The tracker's current reference, or one that it had before."""
+def _from_ring(tracker: Tracker, back: int, frame: int) -> NewKeyframe:
+    """The tracker's current reference, or one that it had before, as a keyframe."""
     slot = (np.asarray(tracker.current) - back) % len(tracker.reference_keyframes)
-    motion = jax.tree.map(lambda ring: np.asarray(ring)[slot], tracker.reference_motions)
-    features = reference_at(tracker, slot.astype(np.int32))
-    return Reference(features, motion.twist, motion.timing.on_host(), frame)
+    features, motion, *_ = reference_at(tracker, slot.astype(np.int32))
+    return NewKeyframe(features, np.asarray(motion.twist), motion.timing.on_host(), frame)
 
 
 def first_keyframe(
-    params: TrackerParams, graph: KeyframeGraph, new: Reference, T_world_cam: jaxlie.SE3, config: GraphConfig
+    params: TrackerParams,
+    graph: KeyframeGraph,
+    new: NewKeyframe,
+    T_world_cam: jaxlie.SE3,
+    config: GraphConfig,
 ) -> KeyframeGraph:
     """The graph with the first keyframe of a map, waiting to be tied to those of other maps.
 
@@ -121,7 +123,7 @@ def first_keyframe(
 def insert_keyframe(
     params: TrackerParams,
     graph: KeyframeGraph,
-    new: Reference,
+    new: NewKeyframe,
     found: Registration,
     reference: int,
     config: GraphConfig,
@@ -163,7 +165,7 @@ def insert_keyframe(
 def _with_keyframe(
     params: TrackerParams,
     graph: KeyframeGraph,
-    new: Reference,
+    new: NewKeyframe,
     pose: np.ndarray,
     tracked: np.ndarray,
     covariance: Float[np.ndarray, "1 6 6"],

@@ -5,21 +5,19 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 
 from sfgs_jax.geometry import se3
-from sfgs_jax.gicp import RowMotion
 from sfgs_jax.slam.config import GraphConfig, TrackingConfig
-from sfgs_jax.slam.frontend import Found, TrackInfo, features_in_use, needs_keyframe
+from sfgs_jax.slam.frontend import Found, TrackInfo, as_reference, needs_keyframe
 from sfgs_jax.slam.frontend._joint_registration import register
 from sfgs_jax.slam.frontend._pose_source import supports_edge
 from sfgs_jax.slam.keyframes._covariances import motion_covariance
 from sfgs_jax.slam.keyframes._edges import CONSISTENT
-from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._keyframe_graph import KeyframeGraph
 from sfgs_jax.slam.state._maps import maps_of
 from sfgs_jax.slam.state._registration import Registration
-from sfgs_jax.slam.state._tracker import Tracker, TrackerParams, reference_at, with_reference
+from sfgs_jax.slam.state._tracker import Reference, Tracker, TrackerParams, reference_at, with_reference
 
 
 def revisited(params: TrackerParams, found: Found, graph: KeyframeGraph, config: GraphConfig) -> Found:
@@ -45,9 +43,9 @@ def revisited(params: TrackerParams, found: Found, graph: KeyframeGraph, config:
     number = _nearest(graph, info, params.config, config)
     if number is None:
         return found
-    target = features_in_use(params, graph.keyframes[number])
+    target = as_reference(params, graph, number)
     expected = se3.compose(se3.inverse(graph.pose(number)), info.T_world_cam)
-    again = register(params, reference_at(tracker, tracker.current), target, expected)
+    again = register(params, reference_at(tracker, tracker.current).features, target.features, expected)
     off = np.asarray(se3.log(se3.compose(se3.inverse(expected), again.T_target_source)), np.float64)
     with_keypoints = params.config.features.kind != "none"
     if not supports_edge(again, float(np.abs(off).max()), config, with_keypoints=with_keypoints):
@@ -55,9 +53,7 @@ def revisited(params: TrackerParams, found: Found, graph: KeyframeGraph, config:
     agrees = _agrees(params, graph, (info.registration, again), off)
     if bool(needs_keyframe(again, params.config)) or not agrees:
         return found
-    keyframe = np.asarray(number, np.int32)
-    motion = graph.keyframes[number].motion
-    tracker, info = return_to_keyframe(tracker, info, target, motion, graph.poses[number], keyframe, again)
+    tracker, info = return_to_keyframe(tracker, info, target, again)
     return found._replace(tracker=tracker, info=info)
 
 
@@ -98,10 +94,7 @@ def _agrees(
 def return_to_keyframe(
     tracker: Tracker,
     found: TrackInfo,
-    features: FrameFeatures,
-    motion: RowMotion,
-    pose: Float[Array | np.ndarray, "7"],
-    keyframe: Int[Array | np.ndarray, ""],
+    reference: Reference,
     again: Registration,
 ) -> tuple[Tracker, TrackInfo]:
     """A keyframe from before as the reference, in the slot of the one that the newest frame had become.
@@ -109,23 +102,20 @@ def return_to_keyframe(
     Args:
         tracker: after a frame that became a keyframe.
         found: what happened to the frame.
-        features: of the keyframe from before, rectified.
-        motion: of its rows.
-        pose: its `T_world_cam` as wxyz_xyz.
-        keyframe: its number.
+        reference: the keyframe from before.
         again: registration of the frame to it.
     """
-    pose = jnp.asarray(pose)
     T = again.T_target_source
     # One step back in the ring, so that the keyframe takes the place of the frame.
     tracker = eqx.tree_at(lambda t: t.current, tracker, tracker.current - 1)
-    tracker = with_reference(tracker, features, motion, pose, jnp.asarray(keyframe))
+    tracker = with_reference(tracker, reference)
     tracker = eqx.tree_at(
         lambda t: (t.num_keyframes, t.T_reference_cam, t.last_registration, t.has_last),
         tracker,
         (tracker.num_keyframes - 1, T, again, jnp.asarray(True)),
     )
-    told = (se3.compose(jaxlie.SE3(pose), T), T, again.source, again, keyframe, jnp.asarray(False))
+    pose, number = jnp.asarray(reference.pose), reference.keyframe
+    told = (se3.compose(jaxlie.SE3(pose), T), T, again.source, again, number, jnp.asarray(False))
     return tracker, eqx.tree_at(
         lambda i: (
             i.T_world_cam,

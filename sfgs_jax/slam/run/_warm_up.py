@@ -14,6 +14,7 @@ from sfgs_jax.slam._init import init
 from sfgs_jax.slam.config import SlamConfig
 from sfgs_jax.slam.frontend import (
     Localised,
+    as_reference,
     begin_tracking,
     features_in_use,
     find_frame,
@@ -24,7 +25,7 @@ from sfgs_jax.slam.frontend import (
     with_depth_parameters,
 )
 from sfgs_jax.slam.keyframes import (
-    Reference,
+    NewKeyframe,
     accept_consistent_loops,
     advance_graph,
     bend,
@@ -75,8 +76,8 @@ def warm_up(camera: Camera, config: SlamConfig | None = None) -> None:
 
 def _with_empty_keyframe(state: SlamState) -> SlamState:
     """The state with a keyframe that shows nothing."""
-    features, twist = reference_at(state.tracker, np.asarray(0, np.int32)), np.ones(6, np.float32)
-    new = Reference(features, twist, np.zeros(3, np.float32), 0)
+    features, twist = reference_at(state.tracker, np.asarray(0, np.int32)).features, np.ones(6, np.float32)
+    new = NewKeyframe(features, twist, np.zeros(3, np.float32), 0)
     graph = first_keyframe(state.params, state.graph, new, se3.identity(), state.config.graph)
     return replace(state, graph=graph)
 
@@ -96,9 +97,7 @@ def _compile_tracking(state: SlamState, frame: Frame, registered: Future[Registr
     found = find_frame(state.params, state.tracker, tracked, frame, 1.0, graph, config.graph)
     again = registered.result()
     needs_keyframe(again, config.tracking)
-    features, slot = graph.keyframes[0].features, np.asarray(0, np.int32)
-    motion = graph.keyframes[0].motion
-    return_to_keyframe(found.tracker, found.info, features, motion, graph.poses[0], slot, again)
+    return_to_keyframe(found.tracker, found.info, as_reference(state.params, graph, 0), again)
 
 
 def _compile_map(state: SlamState, frame: Frame) -> None:
@@ -116,7 +115,7 @@ def _compile_graph(state: SlamState, registered: Future[Registration]) -> None:
     """Insertion of a keyframe, its registration, adjustment, loop closure, another correction of depth."""
     config, found = state.config.graph, registered.result()
     keyframe, times = state.graph.keyframes[0], np.zeros(3, np.float32)
-    new = Reference(keyframe.features, keyframe.twist, times, 1)
+    new = NewKeyframe(keyframe.features, keyframe.twist, times, 1)
     graph = insert_keyframe(state.params, state.graph, new, found, 0, config)
     if state.config.tracking.features.kind != "none":
         focal_lengths_by(state.params, keyframe.features, keyframe.features, found)
@@ -136,11 +135,11 @@ def _compile_graph(state: SlamState, registered: Future[Registration]) -> None:
 
 def _compile_lost(state: SlamState, registered: Future[Registration]) -> None:
     """Search by the surface, and what follows when a frame is found again."""
-    keyframe, pose = state.graph.keyframes[0], state.graph.poses[0]
+    features = state.graph.keyframes[0].features
     # Around the frame before, and around the reference where that frame is the reference.
     for has_last in (True, False):
         tracker = eqx.tree_at(lambda t: t.has_last, state.tracker, jnp.asarray(has_last))
-        search_by_surface(state.params, tracker, keyframe.features)
-    found = registered.result()
-    localised = Localised(0, keyframe.features, keyframe.motion, pose, found, False, True)
-    place(state.params, state.tracker, keyframe.features, localised)
+        search_by_surface(state.params, tracker, features)
+    reference = as_reference(state.params, state.graph, 0)
+    localised = Localised(reference, registered.result(), bridged=False, relocalised=True)
+    place(state.params, state.tracker, features, localised)

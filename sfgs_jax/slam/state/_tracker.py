@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -58,6 +59,22 @@ class TrackerParams(eqx.Module):
     depth_correction: DepthCorrection | None
     noise: TrackingNoise
     config: TrackingConfig = eqx.field(static=True)
+
+
+class Reference(NamedTuple):
+    """A keyframe that frames are registered to.
+
+    Attributes:
+        features: of the keyframe, rectified.
+        motion: of its rows, by which they were rectified.
+        pose: its `T_world_cam` as wxyz_xyz.
+        keyframe: its number.
+    """
+
+    features: FrameFeatures
+    motion: RowMotion
+    pose: Float[Array | np.ndarray, "7"]
+    keyframe: Int[Array | np.ndarray, ""]
 
 
 class Suspicion(eqx.Module):
@@ -212,45 +229,36 @@ def _scalar(value: float | int | bool, kind: np.dtype | type) -> Array:
 
 
 @partial(jax.jit, inline=True)
-def reference_at(tracker: Tracker, slot: Int[Array, ""]) -> FrameFeatures:
-    """Features in a slot of the ring.
+def reference_at(tracker: Tracker, slot: Int[Array | np.ndarray, ""]) -> Reference:
+    """The keyframe in a slot of the ring.
 
     Args:
         tracker: with a keyframe there.
         slot: of the ring; -1 is the one before the first, and so on.
     """
     slot = slot % tracker.reference_keyframes.shape[0]
-    return jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, slot, keepdims=False), tracker.references)
+    return jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, slot, keepdims=False), _ring(tracker))
 
 
-def with_reference(
-    tracker: Tracker,
-    features: FrameFeatures,
-    motion: RowMotion,
-    pose: Float[Array, "7"],
-    keyframe: Int[Array, ""],
-) -> Tracker:
+def with_reference(tracker: Tracker, new: Reference) -> Tracker:
     """The tracker with a keyframe as its current reference, in the oldest slot.
 
     Args:
         tracker: before.
-        features: of the keyframe, rectified.
-        motion: of its rows, by which it was rectified.
-        pose: its `T_world_cam` as wxyz_xyz.
-        keyframe: its number.
+        new: the keyframe.
     """
     slot = (tracker.current + 1) % tracker.reference_keyframes.shape[0]
-    new = (features, motion, pose, keyframe)
-    ring = (
+    ring = jax.tree.map(lambda ring, x: ring.at[slot].set(x), _ring(tracker), new)
+    return eqx.tree_at(lambda t: (*_ring(t), t.current), tracker, (*ring, slot))
+
+
+def _ring(tracker: Tracker) -> Reference:
+    """All slots of the ring, stacked."""
+    return Reference(
         tracker.references,
         tracker.reference_motions,
         tracker.reference_poses,
         tracker.reference_keyframes,
-    )
-    return eqx.tree_at(
-        lambda t: (t.references, t.reference_motions, t.reference_poses, t.reference_keyframes, t.current),
-        tracker,
-        (*jax.tree.map(lambda ring, x: ring.at[slot].set(x), ring, new), slot),
     )
 
 
