@@ -43,7 +43,8 @@ def tracking(config):
 class Run(NamedTuple):
     """What came of a run: the times and their covariance, the ATE, and the frames that became keyframes.
 
-    `poses` are those in the world, one after the other as they were tracked.
+    `poses` are those in the world, one after the other as they were tracked. `behind` says how far the times
+    of the reference were from those known then, after each frame.
     """
 
     params: slam.TrackerParams
@@ -54,6 +55,7 @@ class Run(NamedTuple):
     error: float
     keyframes: list[int]
     poses: np.ndarray
+    behind: list[float]
 
 
 @pytest.fixture(scope="module")
@@ -63,18 +65,21 @@ def tracked(recording, frames, tracking):
     def run(estimate_timing, timing=None):
         settings = replace(tracking, estimate_timing=estimate_timing)
         params = slam.tracker_params(recording.camera, settings, SensorModel(timing))
-        tracker, infos = slam.init_tracker(params), []
+        tracker, infos, behind = slam.init_tracker(params), [], []
         for i, frame in enumerate(frames):
             elapsed = np.float32(1 / 30 if i else 0)
             tracker, info = slam.track(params, tracker, mean_grey(frame.rgb), frame.depth, elapsed)
             assert bool(info.tracked)
             infos.append(info)
+            kept = jax.tree.map(operator.itemgetter(int(tracker.current)), tracker.reference_motions)
+            known = slam.estimated_timing(params, tracker)[0]
+            behind.append(float(abs(kept.timing.vector - known.vector).max()))
         poses = se3.matrices_of(np.stack([info.T_world_cam.wxyz_xyz for info in infos]))
         trajectory = Trajectory(recording.timestamps[:COUNT], poses)
         found, covariance = slam.estimated_timing(params, tracker)
         keyframes = [i for i, info in enumerate(infos) if info.new_keyframe]
         error = ate(trajectory, recording.ground_truth).rmse_m
-        return Run(params, tracker, infos[-1], found, covariance, error, keyframes, poses)
+        return Run(params, tracker, infos[-1], found, covariance, error, keyframes, poses, behind)
 
     first = run(True)
     return {"without": run(False), "first": first, "next": run(True, first.timing)}
@@ -123,11 +128,9 @@ def test_a_keyframe_follows_what_becomes_known_of_the_times(tracked, recording):
 
 
 def test_the_reference_has_the_times_of_the_newest_frame(tracked):
+    """They change by tens of milliseconds while the first ones are used."""
     for run in (tracked["first"], tracked["next"]):
-        slot = int(run.tracker.current)
-        kept = jax.tree.map(operator.itemgetter(slot), run.tracker.reference_motions)
-        assert bool(kept.known)
-        np.testing.assert_allclose(kept.timing.vector, run.timing.vector, atol=1e-3)
+        assert max(run.behind[3:]) <= 1e-3
 
 
 @pytest.mark.parametrize("known", [True, False])
