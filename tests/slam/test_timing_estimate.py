@@ -41,10 +41,10 @@ def tracking(config):
 
 
 class Run(NamedTuple):
-    """What came of a run: the times and their covariance, the ATE, and the frames that became keyframes.
+    """Times found by a run with their covariance, its ATE, and the frames that became keyframes.
 
-    `poses` are those in the world, one after the other as they were tracked. `behind` says how far the times
-    of the reference were from those known then, after each frame.
+    `poses` are those in the world, each as it was tracked. `behind` has for each frame how far the times of
+    the reference were from those known then.
     """
 
     params: slam.TrackerParams

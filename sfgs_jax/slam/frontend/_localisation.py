@@ -158,8 +158,7 @@ def relocalise(
         return None, NO_SUSPICION
     signature = np.asarray(features.keypoints.signature)
     alike, _ = most_similar(graph.signatures, signature, config.relocalisation_candidates)
-    begun = np.asarray(tracker.reference_keyframes)[np.asarray(tracker.current)] >= 0
-    last = np.asarray(tracker.T_world_cam.wxyz_xyz) if begun else None
+    last = np.asarray(tracker.T_world_cam.wxyz_xyz) if tracker.keyframe_on_host >= 0 else None
     # Many matches and much alike images stand for a guess.
     allowed = allowed_sources(tracker, params.config)._replace(near_guess=np.asarray(True))
     since = float(tracker.since_tracked)

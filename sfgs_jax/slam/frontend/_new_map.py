@@ -47,7 +47,7 @@ def frames_until_new_map(tracker: Tracker, graph: KeyframeGraph, config: GraphCo
         graph: with at least one keyframe.
         config: settings.
     """
-    reference = int(np.asarray(tracker.reference_keyframes)[np.asarray(tracker.current)])
+    reference = tracker.keyframe_on_host
     if reference < 0:
         return config.new_map_frames
     maps = maps_of(graph)

@@ -486,8 +486,8 @@ def _with_rows_in_time(
 ) -> Tracker:
     """The tracker with its reference, a new keyframe or the one before, rectified by the newest times.
 
-    The next frame's rows are moved by these. In a reference that was rectified by others, a frame of a camera
-    that turns would be off by the motion in the difference, from frame to frame more.
+    The next frame's rows are moved by these. In a reference that was rectified by others, its pose would be
+    off by the camera's motion in the difference.
     """
     new = Reference(seen, motion, T_world_cam.wxyz_xyz, tracker.num_keyframes)
     if not params.config.estimate_timing:

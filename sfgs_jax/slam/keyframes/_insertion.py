@@ -51,7 +51,7 @@ def with_new_keyframes(
         graph = with_first_motion(graph, np.asarray(after.last_motion.twist))
         graph = _in_its_motion(params, graph, after)
     if bridged:
-        reference = int(np.asarray(before.reference_keyframes)[np.asarray(before.current)])
+        reference = before.keyframe_on_host
         # The frame's own keyframe came after it.
         new = _from_ring(after, int(taken), frames[0])
         graph = insert_keyframe(params, graph, new, before.last_registration, reference, config)

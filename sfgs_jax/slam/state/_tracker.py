@@ -157,6 +157,11 @@ class Tracker(eqx.Module):
         )
 
     @property
+    def keyframe_on_host(self) -> int:
+        """Number of the keyframe that frames are registered to, -1 without one, without running a program."""
+        return int(np.asarray(self.reference_keyframes)[np.asarray(self.current)])
+
+    @property
     def T_world_cam(self) -> jaxlie.SE3:
         """Pose of the newest tracked frame; the identity before the first."""
         return _world_pose(self.reference_poses, self.current, self.T_reference_cam)
