@@ -20,7 +20,8 @@ def with_graph(state: SlamState, graph: KeyframeGraph) -> SlamState:
     if graph.poses is not state.graph.poses:
         tracker = with_graph_poses(tracker, graph)
     if graph.depth_parameters is not state.graph.depth_parameters:
-        params, tracker = with_depth_parameters(params, tracker, graph.depth_parameters)
+        known = graph.depth_parameters, graph.depth_covariance
+        params, tracker = with_depth_parameters(params, tracker, *known)
     return replace(state, graph=graph, tracker=tracker, params=params)
 
 

@@ -11,7 +11,7 @@ from sfgs_jax.geometry import same_camera
 from sfgs_jax.sensors import FrameClock
 from sfgs_jax.slam._graph_results import finish, with_graph
 from sfgs_jax.slam._new_session import lost, same_but_refinement
-from sfgs_jax.slam.frontend import estimated_timing
+from sfgs_jax.slam.frontend import depth_parameters_in_use, estimated_timing, timing_prior
 from sfgs_jax.slam.keyframes import (
     advance_graph,
     joined_graphs,
@@ -92,8 +92,11 @@ def _joined(a: SlamState, b: SlamState) -> SlamState:
     graph = joined_graphs(a.graph, b.graph, shift)
     tracker = a.tracker
     if a.config.tracking.estimate_timing:
-        ahead = b.params.timing.on_host() - a.params.timing.on_host()
-        told = tracker.timing.joined(b.tracker.timing, ahead)
+        (times, depth), (others, their_depth) = (
+            (p.timing.on_host(), depth_parameters_in_use(p)) for p in (a.params, b.params)
+        )
+        ahead = np.concatenate([times - others, depth - their_depth])
+        told = tracker.timing.joined(b.tracker.timing.counted_from(ahead), timing_prior(a.params))
         tracker = eqx.tree_at(lambda t: t.timing, tracker, told)
         times, covariance = estimated_timing(a.params, tracker)
         tracker = eqx.tree_at(lambda t: t.last_motion.timing, tracker, times)

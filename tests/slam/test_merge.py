@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,9 +13,11 @@ from sfgs_jax.geometry import read_tum, se3
 from sfgs_jax.sensors import SensorTiming
 from sfgs_jax.slam.state import (
     DepthInformation,
+    TimingPrior,
     depth_prior,
     maps_of,
     no_depth_information,
+    no_timing_information,
     rows_by_recording,
 )
 from sfgs_jax.splatting import load_ply, render, sh_to_rgb
@@ -272,17 +273,19 @@ def test_what_registrations_told_about_depth_adds_up(rng):
     assert (found.chi_square, found.expected) == (2.0, 4.0)
 
 
-def test_what_registrations_told_about_the_times_of_rows_adds_up(first, rng):
-    """Whatever each of the two sums started from."""
-    true, starts = np.asarray([0.01, 0.02, -0.01]), (np.zeros(3), np.asarray([0.03, -0.01, 0.02]))
+def test_what_registrations_told_about_the_times_of_rows_adds_up(rng):
+    """Whatever each of the two sums was counted from, and what they told of depth's errors."""
+    true, starts = 0.02 * rng.standard_normal(5), 0.02 * rng.standard_normal((2, 5))
+    prior = TimingPrior(jnp.ones(3), jnp.eye(2))
     told = []
     for start in starts:
-        root = rng.standard_normal((3, 3))
-        information = 1e6 * (root @ root.T + np.eye(3))
-        sums = (information, information @ (true - start), np.asarray(1.0), np.asarray(2.0))
-        leaves = (jnp.asarray(value, jnp.float32) for value in sums)
-        told.append(jax.tree.unflatten(jax.tree.structure(first.tracker.timing), leaves))
-    found = told[0].joined(told[1], starts[1] - starts[0])
-    estimate = found.estimate(SensorTiming(), jnp.ones(3))
-    np.testing.assert_allclose(estimate.vector, true, atol=1e-4)
-    assert (float(found.chi_square), float(found.expected)) == (2.0, 4.0)
+        root = rng.standard_normal((5, 5))
+        information = 1e6 * (root @ root.T + np.eye(5))
+        sums = (information, information @ (true - start))
+        new = no_timing_information(2, np.dtype(np.float32))
+        told.append(new.plus(*(jnp.asarray(value, jnp.float32) for value in sums), prior))
+    found = told[0].joined(told[1].counted_from(starts[0] - starts[1]), prior)
+    np.testing.assert_allclose(found.most_likely, true - starts[0], atol=1e-4)
+    estimate = found.estimate(SensorTiming.of_vector(jnp.asarray(starts[0, :3], jnp.float32)))
+    np.testing.assert_allclose(estimate.vector, true[:3], atol=1e-4)
+    np.testing.assert_allclose(found.expected, told[0].expected + told[1].expected)

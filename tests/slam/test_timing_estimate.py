@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -16,7 +17,7 @@ from sfgs_jax.geometry import Trajectory, se3
 from sfgs_jax.gicp import RowMotion
 from sfgs_jax.sensors import SensorModel, SensorTiming
 from sfgs_jax.slam.frontend import Localised, place
-from sfgs_jax.slam.state import Reference
+from sfgs_jax.slam.state import Reference, TimingPrior, no_timing_information
 from sfgs_jax.superfeats import mean_grey
 
 FAULTS = KinectFaults(depth_delay=0.012, colour_readout=0.03, depth_readout=0.025)
@@ -92,6 +93,60 @@ def test_the_times_are_found_with_their_uncertainty(tracked):
         sigmas = np.sqrt(np.diag(tracked[run].covariance))
         np.testing.assert_array_less(abs(off), 0.002)
         np.testing.assert_array_less(abs(off), 4 * sigmas)
+
+
+def test_errors_of_depth_do_not_pass_for_a_delay(tracking):
+    """Bands of 3 cm at 2 m, and a camera 1 cm and 0.3 degrees beside its place, both unknown yet."""
+    faults = replace(FAULTS, depth_bands=0.03, extrinsic_shift=0.01, extrinsic_turn=0.005)
+    kinect = SyntheticRecording(num_frames=60, width=192, height=144, faults=faults)
+    settings = replace(tracking, estimate_timing=True, estimate_depth=True, estimate_extrinsic=True)
+    params = slam.tracker_params(kinect.camera, settings)
+    tracker, surprises = slam.init_tracker(params), []
+    for i in range(20):
+        frame = kinect[i]
+        elapsed = np.float32(1 / 30 if i else 0)
+        tracker, _ = slam.track(params, tracker, mean_grey(frame.rgb), frame.depth, elapsed)
+        timing, covariance = slam.estimated_timing(params, tracker)
+        off = np.asarray(timing.vector) - (faults.depth_delay, faults.colour_readout, faults.depth_readout)
+        surprises.append(off @ np.linalg.solve(covariance, off))
+    sigmas = np.sqrt(np.diag(covariance))
+    # With three times, chance exceeds it in one case of a thousand.
+    assert max(surprises) < 16.3
+    assert (sigmas < (0.004, 0.004, 0.008)).all()
+
+
+def test_the_sum_is_the_least_squares_solution_with_depths_errors_as_unknowns(rng):
+    """Registrations that tell of times and errors of depth together, and a prior of each."""
+    sigmas, root = np.asarray([0.01, 0.02, 0.02]), np.tril(0.003 * rng.standard_normal((4, 4)))
+    covariance = np.zeros((7, 7))
+    covariance[:3, :3], covariance[3:, 3:] = np.diag(sigmas**2), root @ root.T
+    true = np.linalg.cholesky(covariance) @ rng.standard_normal(7)
+    prior = TimingPrior(*(jnp.asarray(part, jnp.float32) for part in (sigmas, root)))
+    total, information, vector = no_timing_information(4, np.dtype(np.float32)), np.zeros((7, 7)), np.zeros(7)
+    for _ in range(5):
+        rows = rng.standard_normal((3, 7)) * [100, 50, 50, 300, 300, 300, 300]
+        measured = rows @ true + rng.standard_normal(3)
+        information, vector = information + rows.T @ rows, vector + rows.T @ measured
+        new = (jnp.asarray(part, jnp.float32) for part in (rows.T @ rows, rows.T @ measured))
+        total = total.plus(*new, prior)
+    posterior = np.linalg.inv(information + np.linalg.inv(covariance))
+    np.testing.assert_allclose(total.most_likely, posterior @ vector, rtol=2e-3, atol=1e-5)
+    excess = max(1.0, float(total.chi_square / total.expected))
+    scaled = np.linalg.inv(np.linalg.inv(posterior[:3, :3]) - np.diag(sigmas**-2.0))
+    known = np.linalg.inv(np.linalg.inv(scaled) / excess + np.diag(sigmas**-2.0))
+    np.testing.assert_allclose(total.covariance(prior.sigmas), known, rtol=5e-3, atol=1e-9)
+
+
+def test_a_sum_over_many_frames_stays_finite(rng):
+    """In float32 the information about depth's errors is no longer positive definite by then."""
+    prior = TimingPrior(jnp.asarray([0.01, 0.02, 0.02]), jnp.eye(6, dtype=jnp.float32))
+    rows = rng.standard_normal((2, 9))
+    rounded = 1e9 * rows.T @ rows + 30 * np.diag(rng.standard_normal(9))
+    told = no_timing_information(6, np.dtype(np.float32))
+    total = told.plus(jnp.asarray(rounded, jnp.float32), jnp.zeros(9), prior)
+    assert np.linalg.eigvalsh(rounded[3:, 3:]).min() < -1
+    for leaf in jax.tree.leaves(total):
+        assert np.isfinite(leaf).all()
 
 
 def test_surfaces_alone_tell_the_readout_and_no_delay(recording, frames, tracking, rng):

@@ -53,6 +53,7 @@ from sfgs_jax.slam.frontend._track import allowed_sources as allowed_sources
 from sfgs_jax.slam.frontend._track import estimated_timing as estimated_timing
 from sfgs_jax.slam.frontend._track import init_tracker as init_tracker
 from sfgs_jax.slam.frontend._track import lost_unseen as lost_unseen
+from sfgs_jax.slam.frontend._track import timing_prior as timing_prior
 from sfgs_jax.slam.frontend._track import track as track
 from sfgs_jax.slam.frontend._track_sequence import TrackedSequence as TrackedSequence
 from sfgs_jax.slam.frontend._track_sequence import track_sequence as track_sequence

@@ -16,6 +16,7 @@ from sfgs_jax.slam.config import TrackingConfig
 from sfgs_jax.slam.frontend._depth_scatter import is_noise
 from sfgs_jax.slam.frontend._image_signature import image_signature
 from sfgs_jax.slam.frontend._patch_alignment import patch_factor
+from sfgs_jax.slam.state._depth_information import prior_of
 from sfgs_jax.slam.state._frame_features import FrameFeatures, Keypoints
 from sfgs_jax.slam.state._tracker import TrackerParams, TrackingNoise
 from sfgs_jax.superfeats import Features, extract, extract_orb, load_weights, mean_grey
@@ -54,7 +55,9 @@ def tracker_params(
         correction = DepthCorrection(correction.offsets, jnp.zeros(6, correction.offsets.dtype))
     correction = correction if config.estimate_depth else None
     timing = sensors.timing or SensorTiming()
-    return TrackerParams(camera, network, timing, correction, _noise(config), config)
+    root = prior_of(config).root if config.estimate_depth else np.zeros((0, 0))
+    depth_root = jnp.asarray(root, jnp.float32)
+    return TrackerParams(camera, network, timing, correction, depth_root, _noise(config), config)
 
 
 def _noise(config: TrackingConfig) -> TrackingNoise:

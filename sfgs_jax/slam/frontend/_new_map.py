@@ -94,5 +94,4 @@ def without_pose(tracker: Tracker) -> Tracker:
         tracker: before.
     """
     slots = len(tracker.reference_keyframes)
-    empty = empty_tracker(tracker.last, tracker.last_registration, slots)
-    return eqx.tree_at(lambda t: t.timing, empty, tracker.timing)
+    return empty_tracker(tracker.last, tracker.last_registration, tracker.timing, slots)

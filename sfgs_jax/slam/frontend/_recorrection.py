@@ -73,7 +73,10 @@ def _change(params: TrackerParams, keyframe: Keyframe) -> Float[np.ndarray, " G"
 
 
 def with_depth_parameters(
-    params: TrackerParams, tracker: Tracker, parameters: Float[np.ndarray, " G"]
+    params: TrackerParams,
+    tracker: Tracker,
+    parameters: Float[np.ndarray, " G"],
+    covariance: Float[np.ndarray, "G G"],
 ) -> tuple[TrackerParams, Tracker]:
     """Parameters and tracker with another correction of depth, for the frames to come and those held.
 
@@ -81,12 +84,15 @@ def with_depth_parameters(
         params: parameters of tracking.
         tracker: whose features have their correction.
         parameters: parameters of the new correction.
+        covariance: of these.
     """
-    change = _grid(params, parameters - depth_parameters_in_use(params))
-    references, last = _recorrected_tracker(tracker, params.camera, change)
+    change = parameters - depth_parameters_in_use(params)
+    references, last = _recorrected_tracker(tracker, params.camera, _grid(params, change))
+    root = np.linalg.cholesky(covariance).astype(params.depth_root.dtype)
+    timing = tracker.timing.counted_from(np.concatenate([np.zeros(3), change]))
     return (
-        replace(params, depth_correction=_grid(params, parameters)),
-        replace(tracker, references=references, last=last),
+        replace(params, depth_correction=_grid(params, parameters), depth_root=jax.device_put(root)),
+        replace(tracker, references=references, last=last, timing=timing),
     )
 
 

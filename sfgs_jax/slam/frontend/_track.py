@@ -25,6 +25,7 @@ from sfgs_jax.slam.frontend._rectification import on_their_planes, rectified
 from sfgs_jax.slam.frontend._timing_estimate import timing_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import PoseSource, Registration
+from sfgs_jax.slam.state._timing_information import TimingPrior, no_timing_information
 from sfgs_jax.slam.state._tracker import (
     Reference,
     Tracker,
@@ -82,7 +83,8 @@ def init_tracker(params: TrackerParams) -> Tracker:
     """
     features = feature_shapes(params)
     found = jax.eval_shape(register, params, features, features, se3.identity())
-    return empty_tracker(features, found, params.config.num_references)
+    timing = no_timing_information(len(params.depth_root), params.depth_root.dtype)
+    return empty_tracker(features, found, timing, params.config.num_references)
 
 
 @checked
@@ -326,13 +328,19 @@ def estimated_timing(params: TrackerParams, tracker: Tracker) -> tuple[SensorTim
         params: parameters of tracking.
         tracker: after these frames.
     """
-    sigmas = _timing_sigmas(params)
-    return tracker.timing.estimate(params.timing, sigmas), tracker.timing.covariance(sigmas)
+    sigmas = timing_prior(params).sigmas
+    return tracker.timing.estimate(params.timing), tracker.timing.covariance(sigmas)
 
 
-def _timing_sigmas(params: TrackerParams) -> Float[Array, "3"]:
+def timing_prior(params: TrackerParams) -> TimingPrior:
+    """What is known of the times of the rows without the frames, and of depth's errors by the keyframes.
+
+    Args:
+        params: parameters of tracking.
+    """
     config = params.config
-    return jnp.asarray([config.delay_sigma, config.readout_sigma, config.readout_sigma])
+    sigmas = jnp.asarray([config.delay_sigma, config.readout_sigma, config.readout_sigma])
+    return TimingPrior(sigmas, params.depth_root)
 
 
 def _with_timing(
@@ -350,8 +358,8 @@ def _with_timing(
     # A pose that rests on the motion model says how the camera was thought to move.
     told = tracked & motion.known & by.known & (found.source != PoseSource.MOTION_MODEL)
     new = timing_equations(*lax.stop_gradient((params, seen, target, found, motion, by)))
-    total = tracker.timing.plus(*new, _timing_sigmas(params))
-    total = jax.tree.map(lambda a, b: jnp.where(told, a, b), total, tracker.timing)
+    before, prior = lax.stop_gradient((tracker.timing, timing_prior(params)))
+    total = jax.tree.map(lambda a, b: jnp.where(told, a, b), before.plus(*new, prior), before)
     return eqx.tree_at(lambda t: t.timing, tracker, total)
 
 

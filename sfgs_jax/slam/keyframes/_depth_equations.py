@@ -19,9 +19,8 @@ from jax.lax import Precision
 from jaxtyping import Array, Bool, Float
 
 from sfgs_jax import gicp
-from sfgs_jax.arrays import dot
-from sfgs_jax.geometry import Camera, se3
-from sfgs_jax.sensors import depth_slopes, grid_shares
+from sfgs_jax.geometry import Camera
+from sfgs_jax.slam.frontend._depth_derivatives import keypoints_by_depth, surface_by_depth
 from sfgs_jax.slam.frontend._registration_rows import keypoint_rows, surface_rows
 from sfgs_jax.slam.keyframes._elimination import by_pose, without_pose
 from sfgs_jax.slam.state._frame_features import FrameFeatures
@@ -146,19 +145,9 @@ def _surface_rows(
     stride = round((flat.size / len(rows.residual)) ** 0.5)
     weight = jnp.where(flat[::stride, ::stride].reshape(-1), rows.expected_weight, 0)
 
-    # Taken between the two surfaces. At the measured points the derivative would have their noise in it. Then
-    # offsets that shrink the scene, and all noise with it, would seem to fit better.
-    inside = jnp.asarray([[0], [0], [1]], rows.points.dtype)
-    between = jnp.where(weight[None] > 0, (rows.points + rows.targets) / 2, inside)
-    camera, seen = source.cloud.levels[0].camera, se3.transform(T, between.T)
-    in_target = jnp.matmul(se3.rotation_matrix(T), rows.normals, precision=Precision.HIGHEST)
-    by_source, by_target = (
-        (grid_shares(camera.project(x.T), camera) * (dot(x, n) * x[2])[None], se3.plane_jacobian(x, n))
-        for x, n in ((between, rows.normals), (seen.T, in_target))
-    )
-    grid, extrinsic = (a - b for a, b in zip(by_source, by_target, strict=True))
-    rest = jnp.concatenate([extrinsic, rows.residual[None]])
-    return _Rows(rows.pose, grid, rest, weight), rows.excess(weight)
+    by = surface_by_depth(rows, weight, source.cloud.levels[0].camera, T)
+    rest = jnp.concatenate([by.extrinsic, rows.residual[None]])
+    return _Rows(rows.pose, by.grid, rest, weight), rows.excess(weight)
 
 
 def _is_flat(level: gicp.OrganisedLevel) -> Bool[Array, "h w"]:
@@ -177,29 +166,19 @@ def _keypoint_rows(
     """Errors of the matches that the motion explains: along the image's axes, and in inverse depth."""
     T, matched, camera = found.T_target_source, found.matched, params.camera
     rows = keypoint_rows(params, source, target, T, matched)
-    pixels, seen = matched.pixels, target.keypoints.points[matched.index]
-    turned = jnp.matmul(se3.rotation_matrix(T).T, seen.T, precision=Precision.HIGHEST)
-    # The target's points move along their rays, and so does what is measured at the source's keypoints.
-    along = jnp.sum(rows.at.point_jacobian * turned[None], axis=1)
     target_pixels = target.keypoints.features.keypoints[matched.index]
-    grid = grid_shares(target_pixels, camera) * seen[:, 2][None]
-    slopes = depth_slopes(seen.T, target.keypoints.normals[matched.index].T)
-    depth = source.keypoints.depth
-    own_grid = grid_shares(pixels, camera)
-    own_slopes = depth_slopes(source.keypoints.points.T, source.keypoints.normals.T)
-    own_slopes /= jnp.where(depth > 0, depth, 1)[None]
     # Only where the surface has one normal is it known how an extrinsic changes a keypoint's depth.
-    flat = _is_flat_at(source, camera, pixels) & _is_flat_at(target, camera, target_pixels)
+    flat = _is_flat_at(source, camera, matched.pixels) & _is_flat_at(target, camera, target_pixels)
     weight = jnp.where(flat, rows.weight, 0)
-
-    def row(axis: int) -> _Rows:
-        by_target, by_source = along[axis][None], rows.by_measured[axis][None]
-        by_grid = by_target * grid - by_source * own_grid
-        by_slopes = by_target * slopes - by_source * own_slopes
-        rest = jnp.concatenate([by_slopes, rows.at.residual[axis][None]])
-        return _Rows(rows.at.pose_jacobian[axis], by_grid, rest, weight)
-
-    return [row(axis) for axis in range(3)]
+    return [
+        _Rows(pose, by.grid, jnp.concatenate([by.extrinsic, residual[None]]), weight)
+        for pose, residual, by in zip(
+            rows.at.pose_jacobian,
+            rows.at.residual,
+            keypoints_by_depth(rows, source, target, matched, camera, T),
+            strict=True,
+        )
+    ]
 
 
 def _is_flat_at(features: FrameFeatures, camera: Camera, pixels: Float[Array, "k 2"]) -> Bool[Array, " k"]:

@@ -1,24 +1,20 @@
 """Estimate of the errors of depth, from the registrations between keyframes."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float
 
 from sfgs_jax.arrays import checked
-from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection
-from sfgs_jax.slam.config import GraphConfig, TrackingConfig
+from sfgs_jax.sensors import DepthCorrection
+from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._pair_registration import RegisteredPair
 from sfgs_jax.slam.keyframes._rectification_anew import rows_known
-from sfgs_jax.slam.state._depth_information import DepthPrior, depth_prior, with_extrinsic
+from sfgs_jax.slam.state._depth_information import prior_of
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource
 from sfgs_jax.slam.state._slam_state import SlamState
 from sfgs_jax.slam.state._tracker import TrackerParams
-
-_KNOWN = 1e-6
-"""Deviation of an extrinsic that is not estimated, metres and radians."""
 
 
 def with_edge_heard(
@@ -79,22 +75,3 @@ def estimated_depth(state: SlamState) -> tuple[DepthCorrection, Float[np.ndarray
     if correction is None:
         return None
     return correction, state.graph.depth.covariance(prior_of(state.params.config))
-
-
-def prior_of(config: TrackingConfig) -> DepthPrior:
-    """Prior of the errors of depth, as known before the first frame.
-
-    Args:
-        config: settings.
-    """
-    shift, turn = config.extrinsic_shift_sigma, config.extrinsic_turn_sigma
-    if not config.estimate_extrinsic:
-        shift = turn = _KNOWN
-    return _prior(config.depth_sigma, config.depth_step_sigma, config.depth_tilt_sigma, shift, turn)
-
-
-@cache
-def _prior(
-    sigma: float, step_sigma: float, tilt_sigma: float, shift_sigma: float, turn_sigma: float
-) -> DepthPrior:
-    return with_extrinsic(depth_prior(DEPTH_GRID, sigma, step_sigma, tilt_sigma), shift_sigma, turn_sigma)

@@ -37,7 +37,7 @@ from sfgs_jax.slam.state import (
 )
 
 STATE_FILE = "state.safetensors"
-FORMAT_VERSION = 32
+FORMAT_VERSION = 33
 _FORMER_STATE_FILE = "state.arrays"
 """Written by version 0.1.0, whose arrays had no names."""
 

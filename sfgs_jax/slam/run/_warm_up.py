@@ -127,7 +127,8 @@ def _compile_graph(state: SlamState, registered: Future[Registration]) -> None:
         accept_consistent_loops(replace(graph, candidates=candidates), config)
     tracker = with_graph_poses(state.tracker, graph)
     if state.config.tracking.estimate_depth:
-        params, _ = with_depth_parameters(state.params, tracker, graph.depth_parameters + _ANOTHER_OFFSET)
+        known = graph.depth_parameters + _ANOTHER_OFFSET, graph.depth_covariance
+        params, _ = with_depth_parameters(state.params, tracker, *known)
         features_in_use(params, graph.keyframes[0])
     if state.config.tracking.estimate_timing:
         rectified_anew(state.params, graph, times + 1, config)

@@ -46,6 +46,9 @@ from sfgs_jax.slam.state._step_info import untimed as untimed
 from sfgs_jax.slam.state._submaps import Submap as Submap
 from sfgs_jax.slam.state._synchrony import Synchrony as Synchrony
 from sfgs_jax.slam.state._synchrony import empty_synchrony as empty_synchrony
+from sfgs_jax.slam.state._timing_information import TimingInformation as TimingInformation
+from sfgs_jax.slam.state._timing_information import TimingPrior as TimingPrior
+from sfgs_jax.slam.state._timing_information import no_timing_information as no_timing_information
 from sfgs_jax.slam.state._tracker import Reference as Reference
 from sfgs_jax.slam.state._tracker import Suspicion as Suspicion
 from sfgs_jax.slam.state._tracker import Tracker as Tracker

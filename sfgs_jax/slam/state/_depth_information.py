@@ -1,12 +1,18 @@
 """Sum of what registrations say about the distortion of depth."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
 from sfgs_jax.arrays import pytree
+from sfgs_jax.sensors import DEPTH_GRID
+from sfgs_jax.slam.config import TrackingConfig
+
+_KNOWN = 1e-6
+"""Deviation of an extrinsic that is not estimated, metres and radians."""
 
 
 @pytree
@@ -165,6 +171,25 @@ def with_extrinsic(prior: DepthPrior, shift_sigma: float, turn_sigma: float) -> 
     sigmas = np.repeat([shift_sigma, turn_sigma], 3)
     parts = (prior.information, np.diag(sigmas**-2.0)), (prior.root, np.diag(sigmas))
     return DepthPrior(*(np.asarray(block_diag(*blocks)) for blocks in parts))
+
+
+def prior_of(config: TrackingConfig) -> DepthPrior:
+    """Prior of the errors of depth, as known before the first frame.
+
+    Args:
+        config: settings.
+    """
+    shift, turn = config.extrinsic_shift_sigma, config.extrinsic_turn_sigma
+    if not config.estimate_extrinsic:
+        shift = turn = _KNOWN
+    return _prior(config.depth_sigma, config.depth_step_sigma, config.depth_tilt_sigma, shift, turn)
+
+
+@cache
+def _prior(
+    sigma: float, step_sigma: float, tilt_sigma: float, shift_sigma: float, turn_sigma: float
+) -> DepthPrior:
+    return with_extrinsic(depth_prior(DEPTH_GRID, sigma, step_sigma, tilt_sigma), shift_sigma, turn_sigma)
 
 
 def no_depth_information(start: Float[np.ndarray, " G"]) -> DepthInformation:

@@ -1,4 +1,12 @@
-"""Sum of what the frames so far say about the times of the camera's rows."""
+"""Sum of what the frames so far say about the times of the camera's rows.
+
+An error of depth that moves with the camera, such as a depth camera beside its place, looks much like late
+depth. So frames tell of the times and of depth's errors together. What they tell of the times alone is what
+is left when depth's errors are as unknown as the keyframes leave them.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,85 +17,147 @@ from jaxtyping import Array, Float
 
 from sfgs_jax.sensors import SensorTiming
 
+_ROUNDING = 1e-6
+"""Share of the largest information about depth's errors that float32 may have added up wrongly."""
 
-class TimingInformation(eqx.Module):
-    """Normal equations of the three times of a `SensorTiming`, summed over registrations.
 
-    The unknown is their difference from the times that the estimate started from.
+class TimingPrior(NamedTuple):
+    """What is known without the frames.
 
     Attributes:
-        information: (3, 3) of the sum, the prior not among it, 1 / s².
-        vector: (3,) right-hand side, 1 / s.
+        sigmas: (3,) standard deviations of the times, seconds.
+        depth_root: (G, G) lower Cholesky factor of the covariance of depth's errors; see
+            `TrackerParams.depth_root`.
+    """
+
+    sigmas: Float[Array, "3"]
+    depth_root: Float[Array, "G G"]
+
+
+class TimingInformation(eqx.Module):
+    """Normal equations of the three times of a `SensorTiming` and of G errors of depth, n = 3 + G.
+
+    The unknowns are differences: of the times from those that the estimate started from, and of the
+    parameters of the `DepthCorrection` from those in use.
+
+    Attributes:
+        information: (n, n) of the sum, the prior not among it; of times 1 / s².
+        vector: (n,) right-hand side.
+        most_likely: (n,) differences by the sum and the prior.
+        of_times: (3, 3) information about the times, depth's errors known by their prior alone; 1 / s².
         chi_square: sum over the registrations of the squared surprise: how far the estimate before was from
-            what the registration said, in the latter's standard deviations.
+            what the registration said of the times, in the latter's standard deviations.
         expected: what that sum would be if registrations were as good as their information says.
     """
 
-    information: Float[Array, "3 3"]
-    vector: Float[Array, "3"]
+    information: Float[Array, "n n"]
+    vector: Float[Array, " n"]
+    most_likely: Float[Array, " n"]
+    of_times: Float[Array, "3 3"]
     chi_square: Float[Array, ""]
     expected: Float[Array, ""]
 
-    def estimate(self, start: SensorTiming, sigmas: Float[Array, "3"]) -> SensorTiming:
+    def estimate(self, start: SensorTiming) -> SensorTiming:
         """Most likely times.
 
         Args:
             start: mean of the prior.
-            sigmas: (3,) standard deviations of the prior, seconds.
         """
-        return SensorTiming.of_vector(start.vector + self._difference(sigmas))
+        return SensorTiming.of_vector(start.vector + self.most_likely[:3])
 
     def covariance(self, sigmas: Float[Array, "3"]) -> Float[Array, "3 3"]:
-        """(3, 3) covariance of the estimate, s²; larger where registrations contradict each other.
+        """(3, 3) covariance of the estimated times, s²; larger where registrations contradict each other.
 
         Args:
             sigmas: (3,) standard deviations of the prior, seconds.
         """
         excess = self.chi_square / jnp.where(self.expected > 0, self.expected, 1)
-        scaled = self._scaled(sigmas, jnp.maximum(excess, 1))
+        scaled = _scaled(self.of_times / jnp.maximum(excess, 1), sigmas)
         return sigmas[:, None] * jnp.linalg.inv(scaled) * sigmas[None]
 
     def plus(
-        self, information: Float[Array, "3 3"], vector: Float[Array, "3"], sigmas: Float[Array, "3"]
+        self, information: Float[Array, "n n"], vector: Float[Array, " n"], prior: TimingPrior
     ) -> "TimingInformation":
         """The sum with a registration's equations.
 
         Args:
-            information: (3, 3) of one registration, 1 / s².
-            vector: (3,) its right-hand side, 1 / s.
-            sigmas: (3,) standard deviations of the prior, seconds.
+            information: (n, n) of one registration.
+            vector: (n,) its right-hand side.
+            prior: of times and depth's errors.
         """
-        scale = sigmas[:, None] * sigmas[None]
-        told = information * scale
-        off = sigmas * vector - jnp.matmul(
-            told, self._difference(sigmas) / sigmas, precision=Precision.HIGHEST
-        )
+        scale = prior.sigmas[:, None] * prior.sigmas[None]
+        told = information[:3, :3] * scale
+        off = vector[:3] - jnp.matmul(information[:3], self.most_likely, precision=Precision.HIGHEST)
+        off = off * prior.sigmas
         inverse = jnp.linalg.inv(told + jnp.eye(3, dtype=told.dtype))
         surprise = jnp.matmul(off, jnp.matmul(inverse, off, precision=Precision.HIGHEST))
-        return TimingInformation(
-            self.information + information,
-            self.vector + vector,
-            self.chi_square + surprise,
-            self.expected + jnp.sum(inverse * told),
+        total = replace(
+            self,
+            information=self.information + information,
+            vector=self.vector + vector,
+            chi_square=self.chi_square + surprise,
+            expected=self.expected + jnp.sum(inverse * told),
         )
+        return total.solved(prior)
 
-    def joined(self, other: "TimingInformation", ahead: Float[np.ndarray, "3"]) -> "TimingInformation":
-        """The sum with that of other registrations of the same camera, on the host.
+    def solved(self, prior: TimingPrior) -> "TimingInformation":
+        """The same with what follows from the sum.
 
         Args:
-            other: sum over these.
-            ahead: (3,) times that the other sum started from, less those that this one started from, seconds.
+            prior: of times and depth's errors.
         """
-        mine, theirs = (jax.tree.map(np.asarray, told) for told in (self, other))
-        vector = mine.vector + theirs.vector + theirs.information @ ahead.astype(mine.vector.dtype)
-        told = jax.tree.map(np.add, mine, theirs)
-        return jax.device_put(eqx.tree_at(lambda t: t.vector, told, vector))
+        (sigmas, root), high = prior, Precision.HIGHEST
+        # Depth's errors in units of what is known of them, so that float32 is enough.
+        about_depth = jnp.matmul(root.T, self.information[3:], precision=high)
+        inner = jnp.matmul(about_depth[:, 3:], root, precision=high)
+        prior_weight = 1 + _ROUNDING * jnp.max(jnp.diagonal(inner), initial=0)
+        inner = inner + prior_weight * jnp.eye(len(inner), dtype=inner.dtype)
+        right = jnp.concatenate(
+            [about_depth[:, :3], jnp.matmul(root.T, self.vector[3:], precision=high)[:, None]], axis=1
+        )
+        by_times = jax.scipy.linalg.solve(inner, right, assume_a="pos")
+        left = jnp.concatenate([self.information[:3, :3], self.vector[:3, None]], axis=1)
+        left = left - jnp.matmul(right[:, :3].T, by_times, precision=high)
+        times = sigmas * jax.scipy.linalg.solve(
+            _scaled(left[:, :3], sigmas), sigmas * left[:, 3], assume_a="pos"
+        )
+        depth = by_times[:, 3] - jnp.matmul(by_times[:, :3], times, precision=high)
+        most_likely = jnp.concatenate([times, jnp.matmul(root, depth, precision=high)])
+        return replace(self, most_likely=most_likely, of_times=left[:, :3])
 
-    def _scaled(self, sigmas: Float[Array, "3"], excess: Float[Array, ""]) -> Float[Array, "3 3"]:
-        """Information with the prior's, in the prior's standard deviations."""
-        scale = sigmas[:, None] * sigmas[None]
-        return self.information * scale / excess + jnp.eye(3, dtype=sigmas.dtype)
+    def counted_from(self, ahead: Float[np.ndarray, " n"]) -> "TimingInformation":
+        """The same equations of differences from other times and parameters, on the host.
 
-    def _difference(self, sigmas: Float[Array, "3"]) -> Float[Array, "3"]:
-        scaled = self._scaled(sigmas, jnp.ones((), sigmas.dtype))
-        return sigmas * jax.scipy.linalg.solve(scaled, sigmas * self.vector, assume_a="pos")
+        Args:
+            ahead: (n,) these, less those before.
+        """
+        information, vector, most_likely = map(np.asarray, (self.information, self.vector, self.most_likely))
+        ahead = ahead.astype(vector.dtype)
+        after = jax.device_put((vector - information @ ahead, most_likely - ahead))
+        return eqx.tree_at(lambda t: (t.vector, t.most_likely), self, after)
+
+    def joined(self, other: "TimingInformation", prior: TimingPrior) -> "TimingInformation":
+        """The sum with that of other registrations of the same camera.
+
+        Args:
+            other: sum over these, counted from the same times and parameters.
+            prior: of times and depth's errors.
+        """
+        return jax.tree.map(jnp.add, self, other).solved(prior)
+
+
+def no_timing_information(num_depth_parameters: int, dtype: np.dtype) -> TimingInformation:
+    """Nothing, as before the first registration.
+
+    Args:
+        num_depth_parameters: G.
+        dtype: of its numbers.
+    """
+    n = 3 + num_depth_parameters
+    shapes = (n, n), (n,), (n,), (3, 3), (), ()
+    return TimingInformation(*[jax.device_put(np.zeros(shape, dtype)) for shape in shapes])
+
+
+def _scaled(information: Float[Array, "3 3"], sigmas: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Information with the prior's, in the prior's standard deviations."""
+    return information * (sigmas[:, None] * sigmas[None]) + jnp.eye(3, dtype=sigmas.dtype)

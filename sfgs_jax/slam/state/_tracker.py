@@ -49,6 +49,8 @@ class TrackerParams(eqx.Module):
         timing: times of the camera's rows, as known before the first frame; used where
             `TrackingConfig.estimate_timing` is on.
         depth_correction: correction of every depth image; None changes nothing.
+        depth_root: lower Cholesky factor of the covariance of its G parameters, as the keyframes so far show
+            them; empty where they are not estimated.
         noise: of keypoints and surfaces.
         config: settings; static.
     """
@@ -57,6 +59,7 @@ class TrackerParams(eqx.Module):
     network: Network | None
     timing: SensorTiming
     depth_correction: DepthCorrection | None
+    depth_root: Float[Array, "G G"]
     noise: TrackingNoise
     config: TrackingConfig = eqx.field(static=True)
 
@@ -121,7 +124,7 @@ class Tracker(eqx.Module):
         motion_model_travel: motion that the model added up to over these, metres or radians, the larger.
         doubtful_scale: whether the sensor seems to have changed its scale of depth since the newest tracked
             frame.
-        timing: what the frames said about the times of the rows.
+        timing: what the frames said about the times of the rows, and about depth's errors that look alike.
         suspicion: where the newest frames may be, if more of them confirm it.
     """
 
@@ -182,19 +185,22 @@ def _world_pose(poses: Float[Array, "r 7"], slot: Int[Array, ""], T_reference_ca
     return se3.compose(jaxlie.SE3(poses[slot]), T_reference_cam)
 
 
-def empty_tracker(features: FrameFeatures, registration: Registration, num_references: int) -> Tracker:
+def empty_tracker(
+    features: FrameFeatures, registration: Registration, timing: TimingInformation, num_references: int
+) -> Tracker:
     """The tracker before the first frame.
 
     Args:
         features: a frame's features, or their shapes.
         registration: a registration, or its shapes.
+        timing: what is known about the times of the rows.
         num_references: slots of the ring.
     """
     # Made on the host: there, no shape needs a program of its own.
     zeros = jax.tree.map(lambda x: jax.device_put(np.zeros(x.shape, x.dtype)), (features, registration))
     dtype = features.cloud.levels[0].surface.dtype
-    timing = SensorTiming(*(_scalar(0, dtype) for _ in range(3)))
-    still = RowMotion(jax.device_put(np.zeros(6, dtype)), timing, _scalar(False, bool))
+    at_once = SensorTiming(*(_scalar(0, dtype) for _ in range(3)))
+    still = RowMotion(jax.device_put(np.zeros(6, dtype)), at_once, _scalar(False, bool))
     ring = jax.tree.map(
         lambda x: jax.device_put(np.zeros((num_references, *x.shape), x.dtype)), (features, still)
     )
@@ -219,12 +225,7 @@ def empty_tracker(features: FrameFeatures, registration: Registration, num_refer
         motion_model_frames=_scalar(0, np.int32),
         motion_model_travel=_scalar(0, dtype),
         doubtful_scale=_scalar(False, bool),
-        timing=TimingInformation(
-            jax.device_put(np.zeros((3, 3), dtype)),
-            jax.device_put(np.zeros(3, dtype)),
-            _scalar(0, dtype),
-            _scalar(0, dtype),
-        ),
+        timing=timing,
         suspicion=Suspicion(jax.device_put(identity), _scalar(0, np.int32), _scalar(0, np.int32)),
     )
 
