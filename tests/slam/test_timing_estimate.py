@@ -101,7 +101,7 @@ def test_errors_of_depth_do_not_pass_for_a_delay(tracking):
     kinect = SyntheticRecording(num_frames=60, width=192, height=144, faults=faults)
     settings = replace(tracking, estimate_timing=True, estimate_depth=True, estimate_extrinsic=True)
     params = slam.tracker_params(kinect.camera, settings)
-    tracker, surprises = slam.init_tracker(params), []
+    tracker, surprises, sigmas = slam.init_tracker(params), [], np.zeros(3)
     for i in range(20):
         frame = kinect[i]
         elapsed = np.float32(1 / 30 if i else 0)
@@ -109,7 +109,7 @@ def test_errors_of_depth_do_not_pass_for_a_delay(tracking):
         timing, covariance = slam.estimated_timing(params, tracker)
         off = np.asarray(timing.vector) - (faults.depth_delay, faults.colour_readout, faults.depth_readout)
         surprises.append(off @ np.linalg.solve(covariance, off))
-    sigmas = np.sqrt(np.diag(covariance))
+        sigmas = np.sqrt(np.diag(covariance))
     # With three times, chance exceeds it in one case of a thousand.
     assert max(surprises) < 16.3
     assert (sigmas < (0.004, 0.004, 0.008)).all()
@@ -121,7 +121,7 @@ def test_the_sum_is_the_least_squares_solution_with_depths_errors_as_unknowns(rn
     covariance = np.zeros((7, 7))
     covariance[:3, :3], covariance[3:, 3:] = np.diag(sigmas**2), root @ root.T
     true = np.linalg.cholesky(covariance) @ rng.standard_normal(7)
-    prior = TimingPrior(*(jnp.asarray(part, jnp.float32) for part in (sigmas, root)))
+    prior = TimingPrior(jnp.asarray(sigmas, jnp.float32), jnp.asarray(root, jnp.float32))
     total, information, vector = no_timing_information(4, np.dtype(np.float32)), np.zeros((7, 7)), np.zeros(7)
     for _ in range(5):
         rows = rng.standard_normal((3, 7)) * [100, 50, 50, 300, 300, 300, 300]

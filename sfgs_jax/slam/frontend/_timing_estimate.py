@@ -54,6 +54,11 @@ class _Registered(NamedTuple):
     moving: gicp.RowMotion
     twist: Float[Array, "6"]
 
+    @property
+    def depth_errs(self) -> bool:
+        """Whether errors of depth are among the unknowns."""
+        return len(self.params.depth_root) > 0
+
 
 class _Rows(eqx.Module):
     """Whitened residuals and their derivatives.
@@ -139,9 +144,8 @@ def _surface_rows(registered: _Registered) -> _Rows:
     # A surface that does not fit tells of no time.
     fits = found.source != PoseSource.KEYPOINTS
     weight = jnp.where(fits, rows.weight, 0)
-    by_depth = [surface_by_depth(rows, weight, camera, T)] if len(params.depth_root) else []
-    depth = _columns(by_depth, weight)
-    return _Rows(rows.residual, rows.pose, by_source, by_target, depth, weight)
+    by_depth = [surface_by_depth(rows, weight, camera, T)] if registered.depth_errs else []
+    return _Rows(rows.residual, rows.pose, by_source, by_target, _columns(by_depth, weight), weight)
 
 
 def _keypoint_rows(registered: _Registered) -> _Rows:
@@ -159,10 +163,8 @@ def _keypoint_rows(registered: _Registered) -> _Rows:
     by_target = by_times(target.keypoints.features.keypoints[matched.index], twist)
     # Keypoints that took no part in the pose are wrong, or contradict the surface for another reason.
     weights = jnp.where(found.by_keypoints, rows.weights, 0)
-    estimated = len(params.depth_root) > 0
-    by_depth = keypoints_by_depth(rows, source, target, matched, camera, T) if estimated else []
-    depth = _columns(by_depth, weights)
-    return _Rows(rows.residual, rows.pose, by_source, by_target, depth, weights)
+    by_depth = keypoints_by_depth(rows, source, target, matched, camera, T) if registered.depth_errs else []
+    return _Rows(rows.residual, rows.pose, by_source, by_target, _columns(by_depth, weights), weights)
 
 
 def _columns(parts: list[ByDepth], weight: Float[Array, " N"]) -> Float[Array, "G N"]:
