@@ -127,8 +127,8 @@ def test_the_sum_is_the_least_squares_solution_with_depths_errors_as_unknowns(rn
         rows = rng.standard_normal((3, 7)) * [100, 50, 50, 300, 300, 300, 300]
         measured = rows @ true + rng.standard_normal(3)
         information, vector = information + rows.T @ rows, vector + rows.T @ measured
-        new = (jnp.asarray(part, jnp.float32) for part in (rows.T @ rows, rows.T @ measured))
-        total = total.plus(*new, prior)
+        told = jnp.asarray(rows.T @ rows, jnp.float32), jnp.asarray(rows.T @ measured, jnp.float32)
+        total = total.plus(*told, prior)
     posterior = np.linalg.inv(information + np.linalg.inv(covariance))
     np.testing.assert_allclose(total.most_likely, posterior @ vector, rtol=2e-3, atol=1e-5)
     excess = max(1.0, float(total.chi_square / total.expected))

@@ -6,8 +6,8 @@ and the times, with the pose eliminated. The times are the same in all frames, s
 is all there is to keep: an information filter.
 
 Errors of depth bend surfaces too, and a depth camera beside its place moves otherwise than the keypoints.
-Where they are estimated, the equations have them as unknowns. Left out, they would pass for a delay: in a
-room with a Kinect's faults for one of 13 ms after eight frames, with a deviation of 2.5.
+If they are estimated, the equations have them as unknowns. Left out, they would pass for a delay. In a room
+with a Kinect's faults it is 13 ms after eight frames, with a deviation of 2.5.
 
 The reference was rectified by the times as they were thought to be then, and moved in its own way. Both
 enter: a delay, for example, shows where the camera does not move like it did in the reference.
