@@ -281,9 +281,9 @@ def test_what_registrations_told_about_the_times_of_rows_adds_up(rng):
     for start in starts:
         root = rng.standard_normal((5, 5))
         information = 1e6 * (root @ root.T + np.eye(5))
-        sums = (information, information @ (true - start))
-        new = no_timing_information(2, np.dtype(np.float32))
-        told.append(new.plus(*(jnp.asarray(value, jnp.float32) for value in sums), prior))
+        vector = jnp.asarray(information @ (true - start), jnp.float32)
+        none = no_timing_information(2, np.dtype(np.float32))
+        told.append(none.plus(jnp.asarray(information, jnp.float32), vector, prior))
     found = told[0].joined(told[1].counted_from(starts[0] - starts[1]), prior)
     np.testing.assert_allclose(found.most_likely, true - starts[0], atol=1e-4)
     estimate = found.estimate(SensorTiming.of_vector(jnp.asarray(starts[0, :3], jnp.float32)))
