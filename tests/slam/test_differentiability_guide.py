@@ -16,6 +16,7 @@ from sfgs_jax.geometry import se3
 from sfgs_jax.gicp import GicpConfig
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection, SensorModel, SensorTiming, undistorted
 from sfgs_jax.slam import FeaturesConfig
+from sfgs_jax.slam.state import no_timing_information
 
 ROOT = Path(__file__).parents[2]
 GUIDE = (ROOT / "docs" / "differentiability.md").read_text(encoding="utf-8")
@@ -106,10 +107,13 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     params = slam.tracker_params(examples["recording"].camera, settings, known)
     # NumPy's arrays: in JAX's, each operation that prepares them is one more program to compile.
     lens = np.asarray([0.02, -0.01, 0.001, -0.002, 0.005])
-    # The example's tracker, with room for the images of patches.
+    # The example's tracker, with room for the images of patches and for what frames tell of depth's errors.
     image = np.zeros(examples["inputs"][1].shape[1:3], np.float32)
     rings = np.zeros((settings.num_references, *image.shape), np.float32), image
-    tracker = eqx.tree_at(lambda t: (t.references.grey, t.last.grey), examples["tracker"], rings)
+    told = no_timing_information(len(params.depth_root), image.dtype)
+    tracker = eqx.tree_at(
+        lambda t: (t.references.grey, t.last.grey, t.timing), examples["tracker"], (*rings, told)
+    )
     *inputs, tracker = in_float64((params, *examples["inputs"][1:], lens, tracker))
 
     @eqx.filter_jit
