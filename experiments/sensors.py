@@ -18,6 +18,7 @@ import argparse
 from dataclasses import replace
 from itertools import chain, product
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -189,6 +190,8 @@ def main() -> None:
         first = "its own poses", *("-",) * 6, epipolar(recording, own, pairs), *("-",) * (len(COLUMNS) - 8)
         rest = (row(recording, tracked(recording, options.frames, v), pairs) for v in VARIANTS)
         print_table(name, COLUMNS, chain([first], rest))
+        # A process has room for a limited number of programs.
+        jax.clear_caches()
 
 
 if __name__ == "__main__":

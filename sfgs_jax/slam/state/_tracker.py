@@ -41,7 +41,7 @@ class TrackingNoise(eqx.Module):
 
 
 class TrackerParams(eqx.Module):
-    """Parameters of tracking; gradients reach all but the settings.
+    """Parameters of tracking; gradients reach all but the settings and `depth_root`.
 
     Attributes:
         camera: intrinsics of the frames.
