@@ -83,6 +83,15 @@ PARTS: dict[str, tuple[Any, slice | None]] = {
 """What the pose depends on: its place among the inputs, and which of several frames are moved."""
 
 
+def _with_room(params, tracker, shape):
+    """The tracker with room for the images of patches, and for what frames tell of depth's errors."""
+    # NumPy's arrays: in JAX's, each operation that prepares them is one more program to compile.
+    image = np.zeros(shape, np.float32)
+    rings = np.zeros((params.config.num_references, *shape), np.float32), image
+    told = no_timing_information(len(params.depth_root), image.dtype)
+    return eqx.tree_at(lambda t: (t.references.grey, t.last.grey, t.timing), tracker, (*rings, told))
+
+
 @pytest.mark.usefixtures("float64")
 def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     """The last pose of a sequence, in forward mode: the guide's example is in reverse mode."""
@@ -105,15 +114,8 @@ def test_a_tracked_pose_has_the_slopes_of_finite_differences(examples, rng):
     correction = DepthCorrection(jnp.zeros(DEPTH_GRID, jnp.float32), extrinsic)
     known = SensorModel(timing=SensorTiming(0.004, 0.01, 0.008), depth=correction)
     params = slam.tracker_params(examples["recording"].camera, settings, known)
-    # NumPy's arrays: in JAX's, each operation that prepares them is one more program to compile.
     lens = np.asarray([0.02, -0.01, 0.001, -0.002, 0.005])
-    # The example's tracker, with room for the images of patches and for what frames tell of depth's errors.
-    image = np.zeros(examples["inputs"][1].shape[1:3], np.float32)
-    rings = np.zeros((settings.num_references, *image.shape), np.float32), image
-    told = no_timing_information(len(params.depth_root), image.dtype)
-    tracker = eqx.tree_at(
-        lambda t: (t.references.grey, t.last.grey, t.timing), examples["tracker"], (*rings, told)
-    )
+    tracker = _with_room(params, examples["tracker"], examples["inputs"][1].shape[1:3])
     *inputs, tracker = in_float64((params, *examples["inputs"][1:], lens, tracker))
 
     @eqx.filter_jit
