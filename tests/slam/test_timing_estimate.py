@@ -42,7 +42,7 @@ def tracking(config):
 
 
 class Run(NamedTuple):
-    """Times found by a run with their covariance, its ATE, and the frames that became keyframes.
+    """Times found by a run with their covariance, its ATE, and its keyframes.
 
     `poses` are those in the world, each as it was tracked. `behind` has for each frame how far the times of
     the reference were from those known then.

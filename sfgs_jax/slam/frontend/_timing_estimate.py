@@ -7,7 +7,7 @@ is all there is to keep: an information filter.
 
 Errors of depth bend surfaces too, and a depth camera beside its place moves otherwise than the keypoints.
 If they are estimated, the equations have them as unknowns. Left out, they would pass for a delay. In a room
-with a Kinect's faults it is 13 ms after eight frames, with a deviation of 2.5.
+with a Kinect's faults the estimate is then 13 ms off after eight frames, with a deviation of 2.5.
 
 The reference was rectified by the times as they were thought to be then, and moved in its own way. Both
 enter: a delay, for example, shows where the camera does not move like it did in the reference.
@@ -56,7 +56,7 @@ class _Registered(NamedTuple):
 
     @property
     def depth_errs(self) -> bool:
-        """Whether errors of depth are among the unknowns."""
+        """True if errors of depth are among the unknowns."""
         return len(self.params.depth_root) > 0
 
 

@@ -333,7 +333,7 @@ def estimated_timing(params: TrackerParams, tracker: Tracker) -> tuple[SensorTim
 
 
 def timing_prior(params: TrackerParams) -> TimingPrior:
-    """What is known of the times of the rows without the frames, and of depth's errors by the keyframes.
+    """Prior of the times of the rows, and of depth's errors as the keyframes know them.
 
     Args:
         params: parameters of tracking.
