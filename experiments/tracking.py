@@ -25,7 +25,7 @@ from sfgs_jax.geometry import Frame
 from sfgs_jax.slam import SlamConfig, Stopwatch, finish, follow, init
 
 TRACKING, GRAPH = (
-    replace(SlamConfig().tracking, estimate_timing=True, estimate_depth=True),
+    replace(SlamConfig().tracking, estimate_timing=True, estimate_depth=True, estimate_extrinsic=True),
     SlamConfig().graph,
 )
 WHOLE = replace(SlamConfig(), tracking=TRACKING)

@@ -3,7 +3,7 @@
 from sfgs_jax.slam.config import MappingConfig, SeedingConfig, SlamConfig, TrackingConfig
 
 _KINECT = SlamConfig(
-    tracking=TrackingConfig(estimate_timing=True, estimate_depth=True),
+    tracking=TrackingConfig(estimate_timing=True, estimate_depth=True, estimate_extrinsic=True),
     mapping=MappingConfig(seeding=SeedingConfig(max_depth=5.0)),
 )
 """A Kinect's depth is noise beyond five metres or so, and distorted. Its rows are not exposed at once

@@ -12,7 +12,7 @@ from sfgs_jax import slam
 from sfgs_jax.geometry import se3
 from sfgs_jax.slam.frontend import feature_shapes
 from sfgs_jax.slam.keyframes import covariances_in_world, edge_noise, motion_covariance, prior_noise
-from sfgs_jax.slam.state import Edge, EdgeNoise, Keyframe
+from sfgs_jax.slam.state import Edge, EdgeNoise, Keyframe, prior_of
 
 COUNT, REACH = 40, 4
 SCALES = np.repeat([0.004, 0.003], 3)
@@ -148,10 +148,11 @@ def test_what_is_open_about_the_sensors_widens_all_edges(room, config, graph):
     moving, count = free.copy(), len(state.graph.depth_parameters) - 6
     moving[2, :count] = 1 / count
     bent = replace(alone, edges=(replace(edge, sensitivity=moving),))
-    told = 1e6 * np.eye(len(state.graph.depth_parameters)) + np.linalg.inv(bent.depth_covariance)
+    prior = prior_of(tracking).information
     wide, narrow = (
-        edge_noise(g, config.graph).covariance[2, 2] - known[2, 2]
-        for g in (bent, replace(bent, depth_covariance=np.linalg.inv(told)))
+        edge_noise(replace(bent, depth_covariance=np.linalg.inv(information)), config.graph).covariance[2, 2]
+        - known[2, 2]
+        for information in (prior, prior + 1e6 * np.eye(len(prior)))
     )
     np.testing.assert_allclose(np.sqrt(wide), state.config.tracking.depth_sigma / np.sqrt(count), rtol=0.01)
     assert narrow < 0.05 * wide

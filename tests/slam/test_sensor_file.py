@@ -35,11 +35,12 @@ def test_the_next_run_begins_where_the_last_ended(room, config, known, tmp_path)
     np.testing.assert_allclose(again.params.depth_correction.vector, known.depth.vector, rtol=1e-6)
     np.testing.assert_allclose(again.graph.depth.start, known.depth.vector, rtol=1e-6)
     found = json.loads((tmp_path / "sensors.json").read_text())
-    # Nothing was seen yet: these are the deviations of the prior.
+    # Nothing was seen yet: these are the deviations of the prior. One camera in twenty has no extrinsic.
     assert found["times_sigma_s"]["depth_delay"] == pytest.approx(config.tracking.delay_sigma, rel=1e-3)
     assert np.shape(found["depth_offsets_sigma_per_m"]) == DEPTH_GRID
     shift, turn = config.tracking.extrinsic_shift_sigma, config.tracking.extrinsic_turn_sigma
-    np.testing.assert_allclose(found["T_colour_depth_sigma"], [shift] * 3 + [turn] * 3, rtol=1e-6)
+    sigmas = 0.95**0.5 * np.repeat([shift, turn], 3)
+    np.testing.assert_allclose(found["T_colour_depth_sigma"], sigmas, rtol=1e-6)
 
 
 def test_a_file_without_an_extrinsic_says_that_there_is_none(known, tmp_path):

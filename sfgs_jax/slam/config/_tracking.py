@@ -149,8 +149,8 @@ class TrackingConfig:
     """Standard deviation of the change of that error over a sixteenth of the image, as known before the first
     frame, 1/m."""
     estimate_extrinsic: bool = False
-    """Whether `estimate_depth` also finds where the depth camera is beside the colour camera. The turn about
-    the axis that the camera itself turns about shows least."""
+    """Whether `estimate_depth` also finds where the depth camera is beside the colour camera, if it is one of
+    its own. The turn about the axis that the camera itself turns about shows least."""
     extrinsic_shift_sigma: float = 0.01
     """Standard deviation of the depth camera's position along each axis, as known before the first frame,
     metres."""

@@ -10,6 +10,7 @@ from sfgs_jax.sensors import DepthCorrection
 from sfgs_jax.slam.config import GraphConfig
 from sfgs_jax.slam.keyframes._pair_registration import RegisteredPair
 from sfgs_jax.slam.keyframes._rectification_anew import rows_known
+from sfgs_jax.slam.state._depth_hypotheses import depth_estimate
 from sfgs_jax.slam.state._depth_information import prior_of
 from sfgs_jax.slam.state._keyframe_graph import Edge, KeyframeGraph
 from sfgs_jax.slam.state._registration import PoseSource
@@ -54,12 +55,8 @@ def with_new_depth_parameters(params: TrackerParams, graph: KeyframeGraph) -> Ke
     """
     if params.depth_correction is None:
         return graph
-    prior = prior_of(params.config)
-    return replace(
-        graph,
-        depth_parameters=graph.depth.estimate(prior),
-        depth_covariance=graph.depth.covariance(prior),
-    )
+    mean, covariance = depth_estimate(graph.depth, params.config)
+    return replace(graph, depth_parameters=mean, depth_covariance=covariance)
 
 
 @checked
@@ -74,4 +71,4 @@ def estimated_depth(state: SlamState) -> tuple[DepthCorrection, Float[np.ndarray
     correction = state.params.depth_correction
     if correction is None:
         return None
-    return correction, state.graph.depth.covariance(prior_of(state.params.config))
+    return correction, depth_estimate(state.graph.depth, state.params.config).covariance

@@ -1,9 +1,12 @@
 """The state of a run: data, and the functions that make it."""
 
+from sfgs_jax.slam.state._depth_hypotheses import DepthEstimate as DepthEstimate
+from sfgs_jax.slam.state._depth_hypotheses import depth_estimate as depth_estimate
 from sfgs_jax.slam.state._depth_information import DepthInformation as DepthInformation
 from sfgs_jax.slam.state._depth_information import DepthPrior as DepthPrior
 from sfgs_jax.slam.state._depth_information import depth_prior as depth_prior
 from sfgs_jax.slam.state._depth_information import no_depth_information as no_depth_information
+from sfgs_jax.slam.state._depth_information import prior_of as prior_of
 from sfgs_jax.slam.state._focal_information import FocalInformation as FocalInformation
 from sfgs_jax.slam.state._frame_features import FrameFeatures as FrameFeatures
 from sfgs_jax.slam.state._frame_features import Keypoints as Keypoints

@@ -5,14 +5,14 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, solve_triangular
 
 from sfgs_jax.arrays import pytree
 from sfgs_jax.sensors import DEPTH_GRID
 from sfgs_jax.slam.config import TrackingConfig
 
-_KNOWN = 1e-6
-"""Deviation of an extrinsic that is not estimated, metres and radians."""
+KNOWN = 1e-4
+"""Share of a deviation that is left of it where an error is taken to be what the estimate starts from."""
 
 
 @pytree
@@ -101,6 +101,17 @@ class DepthInformation:
         """
         return np.linalg.inv(self._posterior(prior))
 
+    def log_evidence(self, prior: "DepthPrior") -> float:
+        """Logarithm of how likely the registrations are by a prior, but for what all priors have in common.
+
+        Args:
+            prior: of the parameters.
+        """
+        root = np.linalg.cholesky(self._posterior(prior))
+        explained = solve_triangular(root, self.vector / self.excess, lower=True)
+        narrowed = np.log(np.diag(root)).sum() + np.log(np.diag(prior.root)).sum()
+        return float(explained @ explained / 2 - narrowed)
+
     def _posterior(self, prior: "DepthPrior") -> Float[np.ndarray, "G G"]:
         return self.information / self.excess + prior.information
 
@@ -173,23 +184,23 @@ def with_extrinsic(prior: DepthPrior, shift_sigma: float, turn_sigma: float) -> 
     return DepthPrior(*(np.asarray(block_diag(*blocks)) for blocks in parts))
 
 
-def prior_of(config: TrackingConfig) -> DepthPrior:
+def prior_of(config: TrackingConfig, *, distorted: float = 1.0, beside: float = 1.0) -> DepthPrior:
     """Prior of the errors of depth, as known before the first frame.
 
     Args:
         config: settings.
+        distorted: factor on the deviations of the offsets.
+        beside: factor on those of the extrinsic.
     """
-    shift, turn = config.extrinsic_shift_sigma, config.extrinsic_turn_sigma
-    if not config.estimate_extrinsic:
-        shift = turn = _KNOWN
-    return _prior(config.depth_sigma, config.depth_step_sigma, config.depth_tilt_sigma, shift, turn)
+    offsets = config.depth_sigma, config.depth_step_sigma, config.depth_tilt_sigma
+    extrinsic = config.extrinsic_shift_sigma, config.extrinsic_turn_sigma
+    beside = beside if config.estimate_extrinsic else KNOWN
+    return _prior(tuple(distorted * x for x in offsets), tuple(beside * x for x in extrinsic))
 
 
 @cache
-def _prior(
-    sigma: float, step_sigma: float, tilt_sigma: float, shift_sigma: float, turn_sigma: float
-) -> DepthPrior:
-    return with_extrinsic(depth_prior(DEPTH_GRID, sigma, step_sigma, tilt_sigma), shift_sigma, turn_sigma)
+def _prior(offsets: tuple[float, ...], extrinsic: tuple[float, ...]) -> DepthPrior:
+    return with_extrinsic(depth_prior(DEPTH_GRID, *offsets), *extrinsic)
 
 
 def no_depth_information(start: Float[np.ndarray, " G"]) -> DepthInformation:
