@@ -1,12 +1,13 @@
-"""What to believe of a depth camera before the first frame: errors, their deviations, and how well these fit.
+"""Priors of the errors of depth: what each leaves of them, and whether its deviations say so.
 
     python -m experiments.depth_hypotheses [--starts 4] [--frames 120]
 
 Rooms at 320x240 by cameras whose depth is exact, distorted by 3 mm at 2 m, or by 3 cm, and by none or an
-extrinsic of 10 mm and 0.3 degrees. Each start has another room and another camera. A run's sum of what the
-registrations said is read by several priors: only the one of the settings; each error as likely there as not,
-with distortions of one size or of two; and as shipped, where one camera in twenty is without. The squared
-error of the extrinsic is in standard deviations, 6 if the covariance is right.
+extrinsic of 10 mm and 0.3 degrees. Each start has another room and another camera. One run serves all priors:
+they read the same sum of what the registrations said. The first expects errors as large as the settings say.
+By the next two each error is as likely there as not, with distortions of one size or of two. The last is the
+one in use: one camera in twenty is without. The squared error of the extrinsic is in standard deviations, 6
+if the covariance is right.
 """
 
 import argparse
@@ -53,7 +54,7 @@ CONFIG = replace(
 
 
 def heard(recording: SyntheticRecording) -> DepthInformation:
-    """What the registrations of a run said.
+    """Sum of what the registrations of a run said.
 
     Args:
         recording: any room.
@@ -65,7 +66,7 @@ def heard(recording: SyntheticRecording) -> DepthInformation:
 
 
 def errors(depth: DepthInformation, recording: SyntheticRecording, prior: dict) -> Float[np.ndarray, "5"]:
-    """Of the offsets in mm, of the extrinsic in mm, each with its deviation, and the squared error of that.
+    """Errors of offsets and extrinsic in mm, each with its deviation, and the squared error of the latter.
 
     Args:
         depth: what registrations said.

@@ -20,7 +20,7 @@ SIZE = DEPTH_GRID[0] * DEPTH_GRID[1] + 6
 
 
 def heard(rng, truth, start, sigma=0.02):
-    """What two pairs say, each by measurements of 160 linear functions of the parameters."""
+    """Sum of what two pairs say, each by measurements of 160 linear functions of the parameters."""
     depth = no_depth_information(start)
     for _ in range(2):
         rows = rng.normal(size=(160, SIZE))

@@ -132,3 +132,32 @@ def test_after_missing_frames_the_surface_alone_has_to_agree_twice_as_well(
     _, info = slam.track(params, tracker, noise, nearer, periods * SECONDS)
     assert 0.76 < info.registration.agreement < 0.86
     assert info.source == source
+
+
+def test_a_repeated_frame_is_the_one_before_it_again(params, sequence):
+    """The next frame is two intervals after it, and moves on as fast as before."""
+    grey, depth, elapsed = sequence
+    shown, trackers, poses = (0, 1, 2, 2, 4), [slam.init_tracker(params)], []
+    for number in shown:
+        tracker, info = slam.track(params, trackers[-1], grey[number], depth[number], elapsed[0])
+        assert info.tracked
+        trackers.append(tracker)
+        poses.append(info.T_world_cam)
+    first, repeated, after = trackers[3:]
+    np.testing.assert_allclose(poses[3].wxyz_xyz, poses[2].wxyz_xyz, atol=5e-4)
+    np.testing.assert_allclose(repeated.since_tracked, SECONDS)
+    np.testing.assert_allclose(repeated.motion_seconds, first.motion_seconds)
+    speeds = [np.asarray(se3.log(t.T_previous_current) / t.motion_seconds) for t in (first, repeated, after)]
+    np.testing.assert_allclose(speeds[1], speeds[0], atol=0.02)
+    assert np.linalg.norm(speeds[0][:3]) > 0.1
+    np.testing.assert_allclose(after.motion_seconds, 2 * SECONDS)
+    assert np.linalg.norm(speeds[2][:3]) < 1.5 * np.linalg.norm(speeds[0][:3])
+
+
+def test_other_depth_under_the_same_colours_is_another_frame(params, sequence):
+    grey, depth, elapsed = sequence
+    tracker = slam.init_tracker(params)
+    for number in (0, 1, 2):
+        tracker, _ = slam.track(params, tracker, grey[number], depth[number], elapsed[0])
+    tracker, _ = slam.track(params, tracker, grey[2], depth[3], elapsed[0])
+    assert tracker.since_tracked == 0

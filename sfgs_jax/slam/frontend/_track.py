@@ -22,6 +22,7 @@ from sfgs_jax.slam.frontend._joint_registration import Allowed, extent, found_ag
 from sfgs_jax.slam.frontend._keyframe_choice import needs_keyframe, runs_out_of_keypoints
 from sfgs_jax.slam.frontend._pose_source import images_look_alike, keypoints_are_alike, keypoints_are_sure
 from sfgs_jax.slam.frontend._rectification import on_their_planes, rectified
+from sfgs_jax.slam.frontend._repeated_frame import waiting_for
 from sfgs_jax.slam.frontend._timing_estimate import timing_equations
 from sfgs_jax.slam.state._frame_features import FrameFeatures
 from sfgs_jax.slam.state._registration import PoseSource, Registration
@@ -107,6 +108,8 @@ def track(
     becomes a keyframe itself. If keypoints shared in the last pose and not in this one, all are tried until
     they do. If few of the matches agree, the last pose is tried too, and more inliers win.
 
+    A frame that repeats the images of the one before it is that frame again.
+
     Args:
         params: parameters of tracking.
         tracker: from `init_tracker` or an earlier call.
@@ -116,7 +119,7 @@ def track(
         features: keypoints of another extractor, instead of those of the network.
     """
     seen = frame_features(params, image, depth, features)
-    tracker = eqx.tree_at(lambda t: t.since_tracked, tracker, tracker.since_tracked + elapsed)
+    tracker, left = waiting_for(tracker, seen, elapsed)
     found, attempt = _first_success((params, tracker, seen))
 
     is_first = tracker.num_keyframes == 0
@@ -126,6 +129,7 @@ def track(
     before = tracker.T_world_cam
     tracker = lax.cond(bridged, lambda t: _pushed(t, last_as_reference(params, t)), lambda t: t, tracker)
     tracker, info = settle(params, tracker, seen, found, before=before, source=source)
+    tracker = eqx.tree_at(lambda t: t.since_tracked, tracker, tracker.since_tracked + left)
     return tracker, eqx.tree_at(lambda i: i.bridged, info, bridged)
 
 
