@@ -36,8 +36,12 @@ def waiting_for(
 
 
 def _is_repeated(seen: FrameFeatures, tracker: Tracker) -> Bool[Array, ""]:
-    """True if points and keypoints' scores are those of the newest frame, and its motion is known."""
+    """True if points and keypoints' scores are those of the newest frame, and its motion is known.
+
+    Without keypoints nobody knows: two views along a bare wall may be the same.
+    """
     last, follows = tracker.last, tracker.has_motion & (tracker.lost_in_a_row == 0)
+    follows &= jnp.any(seen.keypoints.features.valid)
     pairs = (
         (seen.cloud.levels[0].points, last.cloud.levels[0].points),
         (seen.keypoints.features.scores, last.keypoints.features.scores),
