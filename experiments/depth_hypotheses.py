@@ -5,9 +5,9 @@
 Rooms at 320x240 by cameras whose depth is exact, distorted by 3 mm at 2 m, or by 3 cm, and by none or an
 extrinsic of 10 mm and 0.3 degrees. Each start has another room and another camera. One run serves all priors:
 they read the same sum of what the registrations said. The first expects errors as large as the settings say.
-By the next two each error is as likely there as not, with distortions of one size or of two. The last is the
-one in use: one camera in twenty is without. The squared error of the extrinsic is in standard deviations, 6
-if the covariance is right.
+The next two hold each error for as likely there as not, with distortions of one size or of two. The last is
+the one in use: one camera in twenty is without. The squared error of the extrinsic is in standard deviations,
+6 if the covariance is right.
 """
 
 import argparse
@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments.matching_tables import print_table
+from experiments.sensors import millimetres
 from sfgs_jax.datasets import KinectFaults, SyntheticRecording
 from sfgs_jax.geometry import se3
 from sfgs_jax.sensors import DEPTH_GRID, DepthCorrection
@@ -46,8 +47,6 @@ COLUMNS = (
     "NEES",
     "most",
 )
-AT = 2.0
-"""Depth at which the distortion is given, metres."""
 CONFIG = replace(
     SlamConfig(), tracking=replace(SlamConfig().tracking, estimate_depth=True, estimate_extrinsic=True)
 )
@@ -80,8 +79,8 @@ def errors(depth: DepthInformation, recording: SyntheticRecording, prior: dict) 
     off = mean[-6:] - truth
     return np.asarray(
         [
-            1e3 * AT**2 * np.sqrt(np.mean((found - recording.inverse_depth_offsets) ** 2)),
-            1e3 * AT**2 * np.sqrt(np.mean(variances[:-6])),
+            millimetres(found - recording.inverse_depth_offsets),
+            millimetres(np.sqrt(variances[:-6])),
             1e3 * np.linalg.norm(off[:3]),
             1e3 * np.sqrt(variances[-6:-3].sum()),
             off @ np.linalg.solve(covariance[-6:, -6:], off),

@@ -141,11 +141,11 @@ def distortion(recording: Recording, state: SlamState) -> tuple[str, str]:
         return "-", "-"
     correction, covariance = estimate
     found = np.asarray(correction.image(recording.camera))
-    size, sigma = _millimetres(found), _millimetres(np.sqrt(np.diag(covariance)[:-6]))
+    size, sigma = millimetres(found), millimetres(np.sqrt(np.diag(covariance)[:-6]))
     inner = _synthetic(recording)
     if inner is None:
         return f"{size:.1f} ± {sigma:.1f}", "-"
-    return f"{size:.1f} ± {sigma:.1f}", f"{_millimetres(found - inner.inverse_depth_offsets):.1f}"
+    return f"{size:.1f} ± {sigma:.1f}", f"{millimetres(found - inner.inverse_depth_offsets):.1f}"
 
 
 def extrinsic(recording: Recording, state: SlamState) -> tuple[str, ...]:
@@ -169,8 +169,12 @@ def _synthetic(recording: Recording) -> SyntheticRecording | None:
     return inner if isinstance(inner, SyntheticRecording) else None
 
 
-def _millimetres(offsets: np.ndarray) -> float:
-    """Root mean square of offsets of inverse depth, as millimetres at that depth."""
+def millimetres(offsets: np.ndarray) -> float:
+    """Root mean square of offsets of inverse depth, as millimetres at `AT`.
+
+    Args:
+        offsets: 1/m.
+    """
     return 1e3 * AT**2 * float(np.sqrt(np.mean(offsets**2)))
 
 
