@@ -100,8 +100,7 @@ def velocities(points: Float[Array, "3 N"], twist: Float[Array, "6"]) -> Float[A
         points: camera coordinates, metres.
         twist: motion of the camera per second in its own frame, translation first.
     """
-    turning = _cross(twist[3:], points)
-    return jnp.stack([speed + part for speed, part in zip(twist[:3], turning, strict=True)])
+    return jnp.stack(_added(tuple(twist[:3]), _cross(tuple(twist[3:]), tuple(points))))
 
 
 @checked
@@ -117,10 +116,8 @@ def carried(
         twist: motion of the camera per second in its own frame, translation first.
         times: seconds.
     """
-    first = velocities(points, twist)
-    second = _cross(twist[3:], first)
-    moved = zip(points, first, second, strict=True)
-    return jnp.stack([point + times * (v + times / 2 * a) for point, v, a in moved])
+    at, turning = tuple(points), tuple(twist[3:])
+    return jnp.stack(_moved(at, _added(tuple(twist[:3]), _cross(turning, at)), turning, times))
 
 
 @checked
@@ -128,10 +125,27 @@ def turned(
     directions: Float[Array, "3 N"], twist: Float[Array, "6"], times: Float[Array, " N"]
 ) -> Float[Array, "3 N"]:
     """Directions seen at other times, in the camera of time 0; arguments as of `carried`."""
-    return carried(directions, twist.at[:3].set(0), times)
+    at, turning = tuple(directions), tuple(twist[3:])
+    return jnp.stack(_moved(at, _cross(turning, at), turning, times))
 
 
-def _cross(w: Float[Array, "3"], points: Float[Array, "3 N"]) -> list[Float[Array, " N"]]:
-    """Rows of w x p, which XLA fuses with what comes before and after; those of `jnp.cross` it does not."""
-    x, y, z = points
-    return [w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x]
+_Rows = tuple[Array, ...]
+"""The three rows of vectors (3, N), or three numbers. XLA fuses sums of products of these with what comes
+before and after; `jnp.cross` it does not. Taken apart once, they make half the program."""
+
+
+def _moved(points: _Rows, speed: _Rows, turning: _Rows, times: Float[Array, " N"]) -> list[Array]:
+    """Points after some times with a speed that turns along."""
+    half = times / 2
+    rows = zip(points, speed, _cross(turning, speed), strict=True)
+    return [point + times * (v + half * a) for point, v, a in rows]
+
+
+def _cross(w: _Rows, p: _Rows) -> _Rows:
+    """w x p."""
+    return w[1] * p[2] - w[2] * p[1], w[2] * p[0] - w[0] * p[2], w[0] * p[1] - w[1] * p[0]
+
+
+def _added(a: _Rows, b: _Rows) -> _Rows:
+    """a + b."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]

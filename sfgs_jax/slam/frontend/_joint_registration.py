@@ -96,8 +96,8 @@ def register(
         guess_known: whether the guess says where keypoints should lie. Of a frame that is looked for in a
             keyframe by its looks it does not.
     """
-    # A default that is left out would make another program.
-    return _register(params, source, target, guess, allowed, sweep, guess_known)
+    # A default that is left out, or nothing in place of what is allowed, would make another program.
+    return _register(params, source, target, guess, allowed or Allowed(), sweep, guess_known)
 
 
 @partial(jax.jit, inline=True)
@@ -106,11 +106,11 @@ def _register(
     source: FrameFeatures,
     target: FrameFeatures,
     guess: jaxlie.SE3,
-    allowed: Allowed | None,
+    allowed: Allowed,
     sweep: gicp.Sweep | None,
     guess_known: Bool[Array, ""] | bool,
 ) -> Registration:
-    config, features, allowed = params.config, params.config.features, allowed or Allowed()
+    config, features = params.config, params.config.features
     matched = motion_from_keypoints(source, target, guess, params, sweep, guess_known=guess_known)
     helpful, many = keypoints_help(matched, features), keypoints_are_many(matched, features)
     many_matches = matched.num_matches >= features.min_inliers_alone
