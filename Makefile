@@ -60,14 +60,14 @@ audit:
 	$(UV) tool run pip-audit --strict --disable-pip --require-hashes --requirement requirements.lock
 
 # The viewer's pages are tested in a browser. It comes from Debian's packages, so only root can install it.
-$(VENV)/.installed-browser: $(VENV)/.installed
+$(VENV)/.installed-browser:
 	@for name in chromium chromium-browser google-chrome google-chrome-stable chrome; do \
 		if command -v $$name; then exit 0; fi; \
 	done; \
 	if [ "$$(id -u)" != 0 ]; then echo "no browser is installed, and only root can install one"; exit 0; fi; \
 	apt-get update --quiet=2 && \
 	DEBIAN_FRONTEND=noninteractive apt-get install --quiet=2 --yes --no-install-recommends chromium
-	touch $@
+	mkdir -p $(VENV) && touch $@
 
 clean:
 	rm -rf $(VENV) site $(DEMO_OUT)
