@@ -104,3 +104,15 @@ def test_without_contrast_a_keypoint_stays_where_it_was_detected(image, rng):
     )
     np.testing.assert_allclose(found.shift[0], 1.5, atol=0.05)
     np.testing.assert_allclose(found.shift[1], 0, atol=0.05)
+
+
+def test_what_reaches_the_limit_is_no_rounding_away_from_counting(image, rng):
+    """A pose is told from these shifts once, and its derivative from the places that they lead to."""
+    pairs = pairs_of(image, rng)
+    # Farther off than the limit of three pixels, some come to rest at it.
+    found = aligned(pairs._replace(places=pairs.places - 2 * SHIFT[:, None]), steps=60)
+    left_out = np.asarray(found.agreement) == 0
+    farthest = np.abs(np.asarray(found.shift)).max(axis=0)
+    assert np.mean(left_out) > 0.1
+    assert np.all(farthest[left_out] > 3.1)
+    assert np.all(farthest[~left_out] < 3.0)

@@ -114,8 +114,9 @@ def aligned(pairs: PatchPairs, *, steps: int) -> Alignment:
     zero = jnp.zeros_like(pairs.places)
     shift, last, before = lax.fori_loop(0, steps, step, (zero, zero[0], zero[0]))
     converges = (last <= _SLOWEST * before) | (last < jnp.finfo(last.dtype).eps ** 0.5)
-    # Out of reach, so that whoever takes these shifts up again leaves them out too.
-    shift = jnp.where((converges & (last < _AT_REST))[None], shift, 2 * _REACH)
+    found = converges & (last < _AT_REST) & jnp.all(jnp.abs(shift) < _REACH, axis=0)
+    # Well out of reach, so that whoever takes these shifts up again, less exactly, leaves them out too.
+    shift = jnp.where(found[None], shift, 2 * _REACH)
     return Alignment(shift, _agreement(pairs, template, shift))
 
 
