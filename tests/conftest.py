@@ -26,16 +26,19 @@ jax.config.update("jax_include_full_tracebacks_in_locations", False)
 gc.set_threshold(100_000, 20, 100)
 
 
-_LONG_FILES = (
+_FIRST = (
     "slam/test_differentiability_guide.py",
-    "test_examples.py",
     "slam/test_depth_estimate.py",
     "slam/test_lost.py",
     "slam/test_mapping.py",
-    "slam/test_contradictions.py",
-    "slam/test_merge.py",
+    "slam/test_adjustment.py",
     "slam/test_timing_estimate.py",
-    "slam/test_step.py",
+    "slam/test_contradictions.py",
+    "slam/test_tiled_wall.py",
+    "slam/test_merge.py",
+    "slam/test_focal_lengths.py",
+    "slam",
+    "test_examples.py",
     "factor_graph/test_solve.py",
     "cli/test_run_command.py",
     "cli/test_merge_command.py",
@@ -54,14 +57,15 @@ _LONG_FILES = (
     "gicp/test_matches.py",
     "gicp/test_derivatives.py",
 )
-"""About from the longest on, and those of one folder together, for they share programs."""
+"""Files and folders, about from the longest on, and those of one folder together, for they share programs."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the files that take longest, so that no worker is left with one at the end."""
     folder = Path(__file__).parent
-    places = {folder / name: place for place, name in enumerate(_LONG_FILES)}
-    items.sort(key=lambda item: places.get(item.path, len(places)))
+    places = {folder / name: place for place, name in enumerate(_FIRST)}
+    last = len(places)
+    items.sort(key=lambda item: places.get(item.path, places.get(item.path.parent, last)))
 
 
 def pytest_unconfigure() -> None:
@@ -69,9 +73,9 @@ def pytest_unconfigure() -> None:
     gc.freeze()
 
 
-_MANY_MAPS = 15_000
-"""Memory maps of a process beyond which its compiled programs go: about 2 GB of programs. Linux allows
-65,530, and the programs of one file take up to 5,000."""
+_MANY_MAPS = 20_000
+"""Memory maps of a process beyond which its compiled programs go: it holds 4 GB then. Linux allows 65,530,
+and the programs of one file take up to 8,000."""
 
 
 @pytest.fixture(autouse=True, scope="module")
