@@ -73,8 +73,8 @@ def pytest_unconfigure() -> None:
     gc.freeze()
 
 
-_MANY_MAPS = 20_000
-"""Memory maps of a process beyond which its compiled programs go: it holds 4 GB then. Linux allows 65,530,
+_MANY_MAPS = 15_000
+"""Memory maps of a process beyond which its compiled programs go: it holds 3 GB then. Linux allows 65,530,
 and the programs of one file take up to 8,000."""
 
 
