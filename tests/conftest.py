@@ -14,7 +14,7 @@ import jax  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
-from sfgs_jax.arrays import BACKGROUND_THREAD  # noqa: E402
+from sfgs_jax.arrays import BACKGROUND_THREAD, return_free_memory  # noqa: E402
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -88,6 +88,8 @@ def _programs_of_finished_files():
     maps = Path("/proc/self/maps")
     if not maps.exists() or maps.read_bytes().count(b"\n") > _MANY_MAPS:
         jax.clear_caches()
+        # Half of a worker's memory would stay with it: what the compiler has used between the programs.
+        return_free_memory()
 
 
 @pytest.fixture
