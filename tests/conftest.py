@@ -82,7 +82,7 @@ and the programs of one file take up to 8,000."""
 def _programs_of_finished_files():
     """Let go of compiled programs where there are many: a process has room for so many, and then crashes.
 
-    Where there are few they stay, for the next file may use them as well.
+    A few may stay, for the next file may use them as well.
     """
     yield
     maps = Path("/proc/self/maps")

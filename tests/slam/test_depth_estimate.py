@@ -37,6 +37,12 @@ def pair():
 
 
 @pytest.fixture(scope="module")
+def frames(recording):
+    """The frames, rendered once."""
+    return [recording[i] for i in range(len(recording))]
+
+
+@pytest.fixture(scope="module")
 def settings(config):
     tracking = replace(config.tracking, keyframe_translation=0.1)
     graph = replace(config.graph, num_neighbours=4)
@@ -44,21 +50,30 @@ def settings(config):
 
 
 @pytest.fixture(scope="module")
-def state(recording, settings, all_compilations):
-    """The state after a run with the distortion estimated, warmed up before."""
-    tracking = replace(settings.tracking, estimate_depth=True, estimate_extrinsic=True)
-    config = replace(settings, tracking=tracking)
-    state, frames = slam.init(recording.camera, config), list(recording)
-    slam.warm_up(recording.camera, config)
-    all_compilations.clear()
-    for number, frame in enumerate(frames):
-        state, info, _ = slam.follow(state, frame, number=number)
-        assert info.tracked
-    assert not all_compilations
-    return state
+def runs(recording, frames, settings, all_compilations):
+    """States after a run with the distortion estimated, warmed up before, and after one without."""
+
+    def run(estimate_depth):
+        tracking = replace(
+            settings.tracking, estimate_depth=estimate_depth, estimate_extrinsic=estimate_depth
+        )
+        config = replace(settings, tracking=tracking)
+        state = slam.init(recording.camera, config)
+        # `test_step` warms up without the estimate; here programs that only a lost frame needs would be idle.
+        if estimate_depth:
+            slam.warm_up(recording.camera, config)
+        all_compilations.clear()
+        for number, frame in enumerate(frames):
+            state, info, _ = slam.follow(state, frame, number=number)
+            assert info.tracked
+        assert not (estimate_depth and all_compilations)
+        return state
+
+    return {on: run(on) for on in (True, False)}
 
 
-def test_the_distortion_is_found_with_its_uncertainty(recording, state):
+def test_the_distortion_is_found_with_its_uncertainty(recording, runs):
+    state = runs[True]
     found = np.asarray(state.params.depth_correction.image(recording.camera))
     truth = recording.inverse_depth_offsets
     assert np.sqrt(np.mean((found - truth) ** 2)) < np.std(truth) / 3
@@ -72,8 +87,8 @@ def test_the_distortion_is_found_with_its_uncertainty(recording, state):
     assert sigma.mean() < np.std(truth)
 
 
-def test_the_extrinsic_is_found_with_its_uncertainty(recording, state):
-    estimate = slam.estimated_depth(state)
+def test_the_extrinsic_is_found_with_its_uncertainty(recording, runs):
+    estimate = slam.estimated_depth(runs[True])
     assert estimate is not None
     correction, covariance = estimate
     truth = se3.logs_of(recording.T_colour_depth[None])[0]
@@ -85,17 +100,18 @@ def test_the_extrinsic_is_found_with_its_uncertainty(recording, state):
     assert off @ np.linalg.solve(covariance[-6:, -6:], off) < 22.5
 
 
-def test_the_distortion_does_no_harm_to_the_poses(recording, state):
-    """Without the estimate their error is 4.7 cm, half as much again as this."""
-    assert ate(state.trajectory, recording.ground_truth).rmse_m < 0.031
+def test_the_distortion_does_no_harm_to_the_poses(recording, runs):
+    errors = {on: ate(state.trajectory, recording.ground_truth).rmse_m for on, state in runs.items()}
+    assert errors[True] < 0.045
+    assert errors[True] < errors[False] * 2 / 3
 
 
-def test_references_and_edges_follow_the_estimate(recording, settings, state):
+def test_references_and_edges_follow_the_estimate(runs):
+    state = runs[True]
     np.testing.assert_allclose(state.params.depth_correction.vector, state.graph.depth_parameters, atol=1e-7)
     assert all(edge.sensitivity.shape == (6, state.graph.depth_parameters.size) for edge in state.graph.edges)
-    without = slam.init(recording.camera, settings)
-    assert slam.estimated_depth(without) is None
-    assert without.graph.depth_parameters.size == 0
+    assert slam.estimated_depth(runs[False]) is None
+    assert runs[False].graph.depth_parameters.size == 0
 
 
 def test_recorrected_features_are_those_of_corrected_depth(recording, pair, settings):

@@ -12,12 +12,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from sfgs_jax.geometry import Camera
 
 _WIDTH = 320
-"""Width of images that patches are taken from, pixels. Those of larger sensors hold little more detail."""
+"""Width of images that patches are taken from, pixels. Larger ones hold little more detail."""
 _HALF = 3
 """Pixels from a patch's middle to its side: patches of 7 x 7."""
 _REACH = 3.0
@@ -27,7 +27,7 @@ _NOISE = 0.02
 _FIRM = 0.5
 """Shift, pixels, up to which the pull back to where a place was detected grows (pseudo-Huber kernel)."""
 _RELAXATION = 0.8
-"""Share of a Gauss-Newton step. Where the source is sharper than the target, whole steps overshoot."""
+"""Share of a Gauss-Newton step. Whole steps overshoot if the source is sharper than the target."""
 _AT_REST = 0.1
 """Length of the last step, pixels, above which no place was found."""
 _SLOWEST = 0.9
@@ -114,7 +114,7 @@ def aligned(pairs: PatchPairs, *, steps: int) -> Alignment:
     zero = jnp.zeros_like(pairs.places)
     shift, last, before = lax.fori_loop(0, steps, step, (zero, zero[0], zero[0]))
     converges = (last <= _SLOWEST * before) | (last < jnp.finfo(last.dtype).eps ** 0.5)
-    found = converges & (last < _AT_REST) & jnp.all(jnp.abs(shift) < _REACH, axis=0)
+    found = converges & (last < _AT_REST) & _within_reach(shift)
     # Well out of reach, so that whoever takes these shifts up again, less exactly, leaves them out too.
     shift = jnp.where(found[None], shift, 2 * _REACH)
     return Alignment(shift, _agreement(pairs, template, shift))
@@ -145,16 +145,20 @@ def aligned_again(shift: Float[Array, "2 K"], pairs: PatchPairs) -> Alignment:
     (a, c), (b, d) = (jax.jvp(slope_at, (shift,), (unit,))[1] for unit in along)
     determinant = a * d - b * c
     slope = _slope(pairs, _template(pairs), shift)
-    sound = (jnp.abs(determinant) > 1e-6) & jnp.all(jnp.abs(shift) < _REACH, axis=0)
+    sound = (jnp.abs(determinant) > 1e-6) & _within_reach(shift)
     move = jnp.stack([d * slope[0] - b * slope[1], a * slope[1] - c * slope[0]])
     moved = shift - jnp.where(sound[None], move / jnp.where(sound, determinant, 1)[None], 0)
     return Alignment(moved, _agreement(fixed, _template(fixed), shift))
 
 
+def _within_reach(shift: Float[Array, "2 K"]) -> Bool[Array, " K"]:
+    return jnp.all(jnp.abs(shift) < _REACH, axis=0)
+
+
 def _agreement(pairs: PatchPairs, template: "_Template", shift: Float[Array, "2 K"]) -> Float[Array, " K"]:
     wanted, seen = template.values, _centred(_upright(pairs.source, pairs.places + shift))
     norm = jnp.sqrt(jnp.sum(wanted * wanted, 0) * jnp.sum(seen * seen, 0))
-    found = (norm > 0) & jnp.all(jnp.abs(shift) < _REACH, axis=0)
+    found = (norm > 0) & _within_reach(shift)
     return lax.stop_gradient(jnp.where(found, jnp.sum(wanted * seen, 0) / jnp.where(found, norm, 1), 0))
 
 
